@@ -1,8 +1,9 @@
-"""Speed against error of the plant FMU, for values of its parameter solver.tolerance: python benchmarks/accuracy.py
+"""Speed against error of the plant FMU, for values of its parameter solver.tolerance: python
+benchmarks/accuracy.py
 
-Prints the table of docs/fmus.md: 20 s under the reference controller, the recorded voltage given again to the lean FMU of each law.
-The error is the largest difference of the position from a run with a tolerance of `FINEST`; the time is that of the processor, the
-best of `REPEATS` runs.
+Prints the table of docs/fmus.md: 20 s under the reference controller, the recorded voltage given
+again to the lean FMU of each law. The error is the largest difference of the position from a run
+with a tolerance of `FINEST`; the time is that of the processor, the best of `REPEATS` runs.
 """
 
 from __future__ import annotations
@@ -48,10 +49,17 @@ def measured(plant: str) -> list[tuple[float, float]]:
 def main() -> None:
     """Print the table."""
     found = {plant: measured(plant) for plant in SHOWN_PLANTS}
-    print("| solver.tolerance | " + " | ".join(f"{plant}, rad | us/step" for plant in SHOWN_PLANTS) + " |")
+    print(
+        "| solver.tolerance | "
+        + " | ".join(f"{plant}, rad | us/step" for plant in SHOWN_PLANTS)
+        + " |"
+    )
     print("|---" * (1 + 2 * len(SHOWN_PLANTS)) + "|")
     for i, tolerance in enumerate(TOLERANCES):
-        cells = [f"{error:.0e} | {cost:.2f}" for error, cost in (found[plant][i] for plant in SHOWN_PLANTS)]
+        cells = [
+            f"{error:.0e} | {cost:.2f}"
+            for error, cost in (found[plant][i] for plant in SHOWN_PLANTS)
+        ]
         print(f"| {tolerance:.0e} | " + " | ".join(cells) + " |")
 
 

@@ -1,4 +1,5 @@
-"""How well a diagnosis keeps its time budget: wall time over the budget, on cases of scenarios/hidden.
+"""How well a diagnosis keeps its time budget: wall time over the budget, on cases of
+scenarios/hidden.
 
 python benchmarks/budget.py                # prints; run it on an idle machine
 python benchmarks/budget.py --publish      # the table goes to benchmarks/results/budget.md too
@@ -33,13 +34,23 @@ def timed(name: str, budget: float) -> tuple[float, str]:
     started = time.perf_counter()
     found = diagnose(model, records, options=SearchOptions(budget=budget))
     seconds = time.perf_counter() - started
-    said = next((line.split("used up: ")[1] for line in found.findings if "time budget" in line), "-")
-    return seconds, UNTRIED.sub(lambda found: f"{len(found[1].split(','))} effects not tried to the end in the last round", said)
+    said = next(
+        (line.split("used up: ")[1] for line in found.findings if "time budget" in line), "-"
+    )
+    return seconds, UNTRIED.sub(
+        lambda found: f"{len(found[1].split(','))} effects not tried to the end in the last round",
+        said,
+    )
 
 
 def budget_table() -> str:
     """Return a row a case: time without a budget, and with each."""
-    head = ["case", "without [s]", *(f"{each:g} s" for each in BUDGETS), "left out with the smallest"]
+    head = [
+        "case",
+        "without [s]",
+        *(f"{each:g} s" for each in BUDGETS),
+        "left out with the smallest",
+    ]
     rows, worst = [head, ["---"] * len(head)], 0.0
     for name in BUDGETED:
         timed(name, 1.0)  # programs compiled once
@@ -55,13 +66,17 @@ def budget_table() -> str:
 
 def main() -> None:
     """Print the table, and publish it if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--publish", action="store_true")
     publish, table = parser.parse_args().publish, budget_table()
     print(table)
     if publish:
         BUDGET_TABLE.write_text(
-            f"# Time budgets that are kept\n\n{__doc__}\nColumns: wall time over the budget.\n\n{table}\n", encoding="utf-8"
+            f"# Time budgets that are kept\n\n{__doc__}\nColumns: wall time over the"
+            f" budget.\n\n{table}\n",
+            encoding="utf-8",
         )
 
 

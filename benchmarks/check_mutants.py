@@ -1,4 +1,5 @@
-"""What `bristle check` finds: defects put into good FMUs, by the points that find them; false alarms and time of good FMUs.
+"""What `bristle check` finds: defects put into good FMUs, by the points that find them; false
+alarms and time of good FMUs.
 
 python benchmarks/check_mutants.py [OTHER.fmu ...] > benchmarks/results/check_mutants.md
 """
@@ -16,7 +17,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bristle.fmus import obtain
-from bristle.fmus.conformance import BEHAVIOUR, POINTS, Severity, Verdict, conformance, static_conformance
+from bristle.fmus.conformance import (
+    BEHAVIOUR,
+    POINTS,
+    Severity,
+    Verdict,
+    conformance,
+    static_conformance,
+)
 from bristle.fmus.conformance.process import Task, judged
 from bristle.model.compiler import find_compiler
 
@@ -30,7 +38,10 @@ from mutants import (  # type: ignore[import-not-found]  # of tests/fmus, which 
     pack_badly,
 )
 
-SERIOUS = "Serious: error or warning. Seconds: on two cores that other work took, too; on free ones about half of the last column."
+SERIOUS = (
+    "Serious: error or warning. Seconds: on two cores that other work took, too; on free ones about"
+    " half of the last column."
+)
 OWN = Path(__file__).with_name("check_own.toml")
 HEAD = """# What `bristle check` finds
 
@@ -43,11 +54,19 @@ def behaviour_rows(good: dict[int, Path]) -> Iterator[tuple[str, str, set[str]]]
     """Give each defect of behaviour, the point made for it, and the points that find it."""
     for name, fmi, point in BEHAVIOUR_MUTANTS:
         rows = judged([Task(good[fmi], each, {"MUTANT": name}) for each in BEHAVIOUR])
-        yield f"{name} (FMI {fmi})", point, {row["id"] for row in rows if row["verdict"] is Verdict.failed}
+        yield (
+            f"{name} (FMI {fmi})",
+            point,
+            {row["id"] for row in rows if row["verdict"] is Verdict.failed},
+        )
 
 
-def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[tuple[str, str, set[str]]]:
-    """Give each defect of archive, libraries or description, the point made for it, and the points that find it."""
+def static_rows(
+    entries: dict[int, dict[str, bytes]], folder: Path
+) -> Iterator[tuple[str, str, set[str]]]:
+    """Give each defect of archive, libraries or description, the point made for it, and the points
+    that find it.
+    """
 
     def found(path: Path) -> set[str]:
         return {r.point.id for r in static_conformance(path) if r.verdict is Verdict.failed}
@@ -57,7 +76,11 @@ def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[
         change(changed)
         yield f"{point} {k + 1} (FMI {fmi})", point, found(pack(folder / f"mutant{k}.fmu", changed))
     for point in PACKING_MUTANTS:
-        yield f"{point} (FMI 2)", point, found(pack_badly(point, folder / f"{point}.fmu", entries[2]))
+        yield (
+            f"{point} (FMI 2)",
+            point,
+            found(pack_badly(point, folder / f"{point}.fmu", entries[2])),
+        )
 
 
 def rebuilt(entries: dict[str, bytes], defect: dict[str, str], path: Path) -> Path:
@@ -69,12 +92,24 @@ def rebuilt(entries: dict[str, bytes], defect: dict[str, str], path: Path) -> Pa
     [library] = [name for name in entries if name.startswith("binaries/") and name.endswith(".so")]
     with tempfile.TemporaryDirectory() as folder:
         units = []
-        for unit in (name.removeprefix("sources/") for name in changed if name.startswith("sources/")):
+        for unit in (
+            name.removeprefix("sources/") for name in changed if name.startswith("sources/")
+        ):
             Path(folder, unit).write_bytes(changed[f"sources/{unit}"])
             units += [str(Path(folder, unit))] if unit.endswith(".c") else []
-        flags = ["-std=c99", "-O1", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-fvisibility=hidden"]
+        flags = [
+            "-std=c99",
+            "-O1",
+            "-w",
+            "-fPIC",
+            "-shared",
+            "-ffp-contract=off",
+            "-fvisibility=hidden",
+        ]
         out = Path(folder, "result.so")
-        subprocess.run([*find_compiler(), *flags, f"-I{folder}", *units, "-o", str(out), "-lm"], check=True)
+        subprocess.run(
+            [*find_compiler(), *flags, f"-I{folder}", *units, "-o", str(out), "-lm"], check=True
+        )
         changed[library] = out.read_bytes()
     return Path(pack(path, changed))
 
@@ -94,7 +129,10 @@ def checked(title: str, path: Path) -> None:
     seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     work = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     failed = [r for r in results if r.verdict is Verdict.failed]
-    passed, notes = sum(r.verdict is Verdict.passed for r in results), [r for r in failed if r.point.severity is Severity.note]
+    passed, notes = (
+        sum(r.verdict is Verdict.passed for r in results),
+        [r for r in failed if r.point.severity is Severity.note],
+    )
     serious = ", ".join(f"`{r.point.id}`" for r in failed if r not in notes) or "-"
     said = ", ".join(f"`{r.point.id}`" for r in notes) or "-"
     print(f"| {title} | {passed} | {serious} | {said} | {seconds:.1f} | {work:.1f} |")
@@ -109,24 +147,42 @@ def main(others: list[str]) -> None:
         rows = [*static_rows(entries, folder), *behaviour_rows(good)]
         caught = sum(point in found for _, point, found in rows)
         points = {point for _, point, found in rows if point in found}
-        print(f"{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect that is made for them. ")
-        print(f"{len(rows)} defects, {caught} found by the point made for them, {sum(bool(f) for *_, f in rows)} by any.\n")
+        print(
+            f"{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect"
+            " that is made for them. "
+        )
+        print(
+            f"{len(rows)} defects, {caught} found by the point made for them,"
+            f" {sum(bool(f) for *_, f in rows)} by any.\n"
+        )
         own = list(own_rows(folder))
-        print(f"{len(own)} defects in our own FMU, {sum(bool(found) for _, found in own)} found by any.\n")
+        print(
+            f"{len(own)} defects in our own FMU, {sum(bool(found) for _, found in own)} found by"
+            " any.\n"
+        )
         print("## FMUs without defects\n")
-        print(f"{SERIOUS}\n\n| FMU | points passed | serious | notes | s | s of one core |\n|---|---|---|---|---|---|")
+        print(
+            f"{SERIOUS}\n\n| FMU | points passed | serious | notes | s | s of one core"
+            " |\n|---|---|---|---|---|---|"
+        )
         for fmi in (2, 3):
             checked(f"good, FMI {fmi}", good[fmi])
             for what in ("plant", "observer", "controller"):
                 checked(f"{what}, FMI {fmi}", obtain(what, fmi=fmi))
         for path in others:
             checked(Path(path).name, Path(path))
-    print("\n## Defects\n\n| defect | point made for it | found | found by others, too |\n|---|---|---|---|")
+    print(
+        "\n## Defects\n\n| defect | point made for it | found | found by others, too"
+        " |\n|---|---|---|---|"
+    )
     for defect, point, found in rows:
         more = ", ".join(f"`{each}`" for each in sorted(found - {point})) or "-"
         print(f"| {defect} | `{point}` | {'yes' if point in found else 'NO'} | {more} |")
     print("\n## Defects in our own FMU\n")
-    print("In the C sources of the plant with viscous friction (`benchmarks/check_own.toml`), found by any point.\n")
+    print(
+        "In the C sources of the plant with viscous friction (`benchmarks/check_own.toml`), found"
+        " by any point.\n"
+    )
     print("| defect | found by |\n|---|---|")
     for defect, found in own:
         print(f"| {defect} | {', '.join(f'`{each}`' for each in sorted(found)) or 'NONE'} |")

@@ -1,4 +1,5 @@
-"""Errors of the methods without a first step: on sets S and R, on ramps, and on original LuGre plants (see docs/mathematics.md).
+"""Errors of the methods without a first step: on sets S and R, on ramps, and on original LuGre
+plants (see docs/mathematics.md).
 
 python benchmarks/direct.py --seeds 3          # prints the tables; exit code 1 if a limit is missed
 """
@@ -30,9 +31,20 @@ Data = Mapping[str, NDArray[np.float64]]
 
 
 def lugre(name: str, sigma0: float, coulomb: float, static: float, v0: float) -> dict[str, float]:
-    """Add an original LuGre plant without bristle damping (1/s2, rad/s2, rad/s2, deg/s), and return its true parameters."""
-    values = {"sigma0": sigma0 / 1e3, "sigma1": 0.0, "Fc": coulomb / 1e3, "Fs": static / 1e3, "vs": math.radians(v0)}
-    RECORD_PLANTS[name] = ("lugre", SERVO | {f"lugre.{key}": value for key, value in values.items()})
+    """Add an original LuGre plant without bristle damping (1/s2, rad/s2, rad/s2, deg/s), and return
+    its true parameters.
+    """
+    values = {
+        "sigma0": sigma0 / 1e3,
+        "sigma1": 0.0,
+        "Fc": coulomb / 1e3,
+        "Fs": static / 1e3,
+        "vs": math.radians(v0),
+    }
+    RECORD_PLANTS[name] = (
+        "lugre",
+        SERVO | {f"lugre.{key}": value for key, value in values.items()},
+    )
     falls = {"a0": coulomb / sigma0, "a1": (static - coulomb) / sigma0}
     return EXACT | {"sigma0": sigma0, "Fc": coulomb, "v0": math.radians(v0)} | falls
 
@@ -46,7 +58,9 @@ TRUTH = TRUE_PARAMETERS | {
 
 
 def ramps(plant: str, seed: int) -> dict[str, NDArray[np.float64]]:
-    """Drive a plant with a voltage linear between knots 50 ms apart, held over a twentieth of a sample only."""
+    """Drive a plant with a voltage linear between knots 50 ms apart, held over a twentieth of a
+    sample only.
+    """
     law, parameters = RECORD_PLANTS[plant]
     n, fine = round(DIRECT_SECONDS / RECORD_STEP), 20
     knots = 3.0 * np.random.default_rng(seed).standard_normal(round(DIRECT_SECONDS / 0.05) + 1)
@@ -56,7 +70,9 @@ def ramps(plant: str, seed: int) -> dict[str, NDArray[np.float64]]:
         return np.asarray(np.interp(t, 0.05 * np.arange(len(knots)), knots))
 
     out, _ = Native(servo_program(law), parameters).run(
-        RECORD_STEP / fine, {"u": voltage((np.arange(n * fine) + 0.5) * RECORD_STEP / fine)}, ["theta", "v"]
+        RECORD_STEP / fine,
+        {"u": voltage((np.arange(n * fine) + 0.5) * RECORD_STEP / fine)},
+        ["theta", "v"],
     )
     theta, v = np.ascontiguousarray(out[:-1:fine].T)
     return {"u": voltage(np.arange(n) * RECORD_STEP), "y_theta": theta, "y_v": v}
@@ -64,7 +80,9 @@ def ramps(plant: str, seed: int) -> dict[str, NDArray[np.float64]]:
 
 @dataclass(frozen=True)
 class Case:
-    """One row: a method, its record, given parameters (without its name), and the limit of the error [%] (None: no limit)."""
+    """One row: a method, its record, given parameters (without its name), and the limit of the
+    error [%] (None: no limit).
+    """
 
     name: str
     method: str
@@ -80,7 +98,14 @@ DIRECT_CASES = (
     Case("swapped", "swapped", S_AND_R, error=1.0),
     Case("swapped_position, encoder", "swapped_position", S_AND_R, source="encoder", error=6.0),
     Case("swapped on L0 (alpha2, b, Fc)", "swapped", ("L0",), ("alpha2", "b", "Fc"), error=1.0),
-    Case("swapped_position on L0, encoder", "swapped_position", ("L0",), ("alpha2", "b", "Fc"), source="encoder", error=2.0),
+    Case(
+        "swapped_position on L0, encoder",
+        "swapped_position",
+        ("L0",),
+        ("alpha2", "b", "Fc"),
+        source="encoder",
+        error=2.0,
+    ),
     Case("approach_one", "approach_one", S_AND_R),
     Case("approach_one, ramps", "approach_one", S_AND_R, source="ramps"),
     Case("approach_one_smooth", "approach_one_smooth", S_AND_R),
@@ -96,7 +121,9 @@ DIRECT_CASES = (
 
 @dataclass(frozen=True)
 class Reached:
-    """Largest error at the end, last time an error exceeds 5 %, worst error while valid, share of time all are valid."""
+    """Largest error at the end, last time an error exceeds 5 %, worst error while valid, share of
+    time all are valid.
+    """
 
     error: float
     settling: float
@@ -137,17 +164,27 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
     """Return the table rows of a case, one a plant, and whether it is within the limit."""
     lines, good = [], True
     for plant in case.plants:
-        found = {order: [reach(case, seen(case, plant, order, seed), plant) for seed in seeds] for order in (1, 2)}
+        found = {
+            order: [reach(case, seen(case, plant, order, seed), plant) for seed in seeds]
+            for order in (1, 2)
+        }
         cells = []
         for each in found.values():
             worst, settled = max(r.error for r in each), max(r.settling for r in each)
             good &= worst <= (case.error or math.inf)
             cells.append(f"{worst:.3g} / {settled:.1f}")
         both = [r for each in found.values() for r in each]
-        valid = f"{np.nanmax([r.valid_error for r in both]):.3g}" if any(r.valid_share for r in both) else "-"
+        valid = (
+            f"{np.nanmax([r.valid_error for r in both]):.3g}"
+            if any(r.valid_share for r in both)
+            else "-"
+        )
         share = f"{100 * min(r.valid_share for r in both):.0f}"
         cells += [valid, share, f"{min(r.microseconds for r in both):.2f}"]
-        lines.append(f"| {case.name} | {plant} | {' | '.join(cells)} | {'stated' if case.error is None else f'{case.error:g}'} |")
+        lines.append(
+            f"| {case.name} | {plant} | {' | '.join(cells)} |"
+            f" {'stated' if case.error is None else f'{case.error:g}'} |"
+        )
     return "\n".join(lines), good
 
 
@@ -156,9 +193,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     seeds = range(1, parser.parse_args().seeds + 1)
-    print(f"{DIRECT_SECONDS:g} s. Largest error of any parameter at the end in % / last time an error exceeds 5 %, in s;")
-    print(f"worst of seeds 1-{len(seeds)}. Valid: worst error while valid in %, least share of the time in which all are, in %.\n")
-    print("| | plant | order 1 | order 2 | valid error | valid share | us/step | limit |\n|---|---|---|---|---|---|---|---|")
+    print(
+        f"{DIRECT_SECONDS:g} s. Largest error of any parameter at the end in % / last time an error"
+        " exceeds 5 %, in s;"
+    )
+    print(
+        f"worst of seeds 1-{len(seeds)}. Valid: worst error while valid in %, least share of the"
+        " time in which all are, in %.\n"
+    )
+    print(
+        "| | plant | order 1 | order 2 | valid error | valid share | us/step | limit"
+        " |\n|---|---|---|---|---|---|---|---|"
+    )
     results = []
     for case in DIRECT_CASES:
         text, good = row(case, seeds)

@@ -3,7 +3,8 @@
     python benchmarks/hidden.py              # all cases; the table goes to benchmarks/results/hidden.md too
     python benchmarks/hidden.py 07 12        # these only, printed
 
-Exit code 1 if the file of answers does not match its hash. The answers are opened after the last diagnosis.
+Exit code 1 if the file of answers does not match its hash. The answers are opened after the last
+diagnosis.
 """
 
 from __future__ import annotations
@@ -30,15 +31,17 @@ ROOT = Path(__file__).resolve().parents[1]
 HIDDEN_CASES = ROOT / "scenarios" / "hidden"
 SEALED, DIGEST = "answers.sealed", "answers.sha256"
 HIDDEN_TABLE = ROOT / "benchmarks" / "results" / "hidden.md"
-ABSORBED_EFFECTS = ["back_emf"]  # the refit of viscous friction takes it up: the right answer names no effect
+# the refit of viscous friction takes it up: the right answer names no effect
+ABSORBED_EFFECTS = ["back_emf"]
 NO_CATALOGUE_EFFECT = {"control": "nothing", "outside": "not in the catalogue"}
 HIDDEN_INTRODUCTION = """# Scenarios with a hidden effect
 
-`python benchmarks/hidden.py`: every case of scenarios/hidden, diagnosed from its model and its two records alone; the sealed
-answers are opened afterwards. The gap ratio follows from the true parameters (benchmarks/blind/gap.py). An answer is right if it
-names exactly the hidden effects ("class": another effect of the same class); for a control, if it names none; for an effect
-outside the catalogue, if it names none and flags an unexplained residual; for back_emf, if it names none, since with a torque input
-back EMF is the same as viscous friction, which the refit takes up.
+`python benchmarks/hidden.py`: every case of scenarios/hidden, diagnosed from its model and its two
+records alone; the sealed answers are opened afterwards. The gap ratio follows from the true
+parameters (benchmarks/blind/gap.py). An answer is right if it names exactly the hidden effects
+("class": another effect of the same class); for a control, if it names none; for an effect outside
+the catalogue, if it names none and flags an unexplained residual; for back_emf, if it names none,
+since with a torque input back EMF is the same as viscous friction, which the refit takes up.
 
 These 30 cases come from the generator of the blind test, so its limits apply: see "What these figures do not say" in
 [docs/diagnosis.md](../../docs/diagnosis.md). They are diagnosed again with every change of the rules. They are a regression test,
@@ -57,8 +60,12 @@ def broken(folder: Path = HIDDEN_CASES) -> bool:
 def open_answers(folder: Path = HIDDEN_CASES) -> dict[str, Json]:
     """Return the answers by the name of their case; raise ValueError if the seal is broken."""
     if broken(folder):
-        raise ValueError(f"{folder / SEALED} does not match its hash; restore it, or generate the cases again")
-    answers: dict[str, Json] = json.loads(zlib.decompress(base64.b64decode((folder / SEALED).read_bytes())))
+        raise ValueError(
+            f"{folder / SEALED} does not match its hash; restore it, or generate the cases again"
+        )
+    answers: dict[str, Json] = json.loads(
+        zlib.decompress(base64.b64decode((folder / SEALED).read_bytes()))
+    )
     return answers
 
 
@@ -78,12 +85,19 @@ def diagnosed(folder: Path, out: Path) -> Json:
 def diagnose_all(folders: Sequence[Path], jobs: int) -> dict[str, Json]:
     """Return the result of every case, found by worker processes of one thread each."""
     results: dict[str, Json] = {}
-    with tempfile.TemporaryDirectory() as out, ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with (
+        tempfile.TemporaryDirectory() as out,
+        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
+    ):
         calls = {pool.submit(diagnosed, folder, Path(out)): folder.name for folder in folders}
         for call in as_completed(calls):
             name = calls[call]
             results[name] = call.result()
-            print(f"{name}: {said(results[name])}, {results[name]['seconds']:.0f} s", file=sys.stderr, flush=True)
+            print(
+                f"{name}: {said(results[name])}, {results[name]['seconds']:.0f} s",
+                file=sys.stderr,
+                flush=True,
+            )
     return results
 
 
@@ -125,19 +139,31 @@ def table(answers: Mapping[str, Json], results: Mapping[str, Json]) -> str:
     for name, result in sorted(results.items()):
         answer = answers[name]
         marks.append(right(answer, result))
-        lines.append(f"| {name} | {answer['gap']['ratio']:.1f} | {said(result)} | {truth(answer)} | {marks[-1]} |")
-    count = f"{len(marks) - marks.count('no')} of {len(marks)} right, {marks.count('class')} of them by class only."
+        lines.append(
+            f"| {name} | {answer['gap']['ratio']:.1f} | {said(result)} | {truth(answer)} |"
+            f" {marks[-1]} |"
+        )
+    count = (
+        f"{len(marks) - marks.count('no')} of {len(marks)} right, {marks.count('class')} of them by"
+        " class only."
+    )
     return "\n".join([*lines, "", count]) + "\n"
 
 
 def main() -> int:
     """Diagnose, open the answers, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("cases", nargs="*", help="numbers of cases; all without one")
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     if broken():
-        print(f"{HIDDEN_CASES / SEALED} does not match its hash; restore it, or generate the cases again", file=sys.stderr)
+        print(
+            f"{HIDDEN_CASES / SEALED} does not match its hash; restore it, or generate the cases"
+            " again",
+            file=sys.stderr,
+        )
         return 1
     chosen = [folder for folder in cases() if not arguments.cases or folder.name in arguments.cases]
     if unknown := set(arguments.cases) - {folder.name for folder in chosen}:

@@ -1,4 +1,5 @@
-"""Errors and settling times of the observers over seeds 1-12 and both orders of the reference, on sets S and R (docs/results.md).
+"""Errors and settling times of the observers over seeds 1-12 and both orders of the reference, on
+sets S and R (docs/results.md).
 
 python benchmarks/identification.py            # prints the tables; exit code 1 if a limit is missed
 """
@@ -23,7 +24,9 @@ KNOWN_SERVO = {"alpha2": 2.0, "b": 6.5}
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table: an observer, its record, the duration [s], limits of error [%] and settling [s] (None: no limit)."""
+    """One row of the table: an observer, its record, the duration [s], limits of error [%] and
+    settling [s] (None: no limit).
+    """
 
     name: str
     method: str
@@ -41,12 +44,23 @@ PAPER_CASES = (
     Case("encoder_rls", "rls", 200.0, STEP1, 1.0, None, encoder=True),
     Case("repaired_two_step, step 1", "two_step", 200.0, STEP1, None, None),
     Case("repaired_two_step, step 2", "two_step", 200.0, STEP2, None, None),
-    Case("position, n = 3, known alpha2, b", "besancon_position", 200.0, STEP2, None, None, encoder=True, known=("alpha2", "b")),
+    Case(
+        "position, n = 3, known alpha2, b",
+        "besancon_position",
+        200.0,
+        STEP2,
+        None,
+        None,
+        encoder=True,
+        known=("alpha2", "b"),
+    ),
     Case("encoder_two_step", "two_step_position", 200.0, STEP1 + STEP2, None, None, encoder=True),
 )
 
 
-def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN_SERVO) -> tuple[np.ndarray, np.ndarray]:
+def run_case(
+    case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN_SERVO
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (error at the end in %, last time the error exceeds 5 %) of each parameter."""
     data = record(plant, order, seed, case.seconds)
     if case.encoder:
@@ -69,7 +83,9 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
 
 
 def amplification(seeds: Sequence[int]) -> None:
-    """Print the effect of 1 % of error in alpha2 or b on step 2: mean over the seeds (largest), in %."""
+    """Print the effect of 1 % of error in alpha2 or b on step 2: mean over the seeds (largest), in
+    %.
+    """
     step2 = next(case for case in PAPER_CASES if case.name == "repaired_step2")
     print(f"\n| wrong by +1 % | {' | '.join(step2.names)} |\n|---|{'---|' * len(step2.names)}")
     for wrong in KNOWN_SERVO:
@@ -77,9 +93,14 @@ def amplification(seeds: Sequence[int]) -> None:
             for order in (1, 2):
                 disturbed = KNOWN_SERVO | {wrong: 1.01 * KNOWN_SERVO[wrong]}
                 moved = [
-                    run_case(step2, plant, order, seed, disturbed)[0] - run_case(step2, plant, order, seed)[0] for seed in seeds
+                    run_case(step2, plant, order, seed, disturbed)[0]
+                    - run_case(step2, plant, order, seed)[0]
+                    for seed in seeds
                 ]
-                cells = (f"{m:+.1f} ({w:.0f})" for m, w in zip(np.mean(moved, 0), np.max(np.abs(moved), 0), strict=True))
+                cells = (
+                    f"{m:+.1f} ({w:.0f})"
+                    for m, w in zip(np.mean(moved, 0), np.max(np.abs(moved), 0), strict=True)
+                )
                 print(f"| {wrong}, {plant}, order {order} | {' | '.join(cells)} |", flush=True)
 
 
@@ -93,7 +114,10 @@ def error_of_b(seeds: Sequence[int]) -> None:
         error = 100.0 * (out[round(100.0 / RECORD_STEP) :, 0] / TRUE_PARAMETERS["S"]["b"] - 1.0)
         rms.append(float(np.sqrt(np.mean(error**2))))
         largest.append(float(np.max(np.abs(error))))
-    spread = f"rms {min(rms):.3f} to {max(rms):.3f} %, largest {min(largest):.2f} to {max(largest):.2f} %"
+    spread = (
+        f"rms {min(rms):.3f} to {max(rms):.3f} %, largest {min(largest):.2f} to"
+        f" {max(largest):.2f} %"
+    )
     print(f"\nerror of b after 100 s, set S, order 1: {spread}")
 
 
@@ -102,8 +126,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     seeds = range(1, parser.parse_args().seeds + 1)
-    print(f"Largest error of any parameter at the end in % / last time an error exceeds 5 % in s, worst of seeds 1-{len(seeds)}:\n")
-    print("| | S, order 1 | S, order 2 | R, order 1 | R, order 2 | limit | holds |\n|---|---|---|---|---|---|---|")
+    print(
+        "Largest error of any parameter at the end in % / last time an error exceeds 5 % in s,"
+        f" worst of seeds 1-{len(seeds)}:\n"
+    )
+    print(
+        "| | S, order 1 | S, order 2 | R, order 1 | R, order 2 | limit | holds"
+        " |\n|---|---|---|---|---|---|---|"
+    )
     results = []
     for case in PAPER_CASES:
         text, good = row(case, seeds)

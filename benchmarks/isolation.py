@@ -1,4 +1,5 @@
-"""What a process of its own costs: scenario `quick` over 200 s, its plant built by the run or taken as a foreign FMU, side by side.
+"""What a process of its own costs: scenario `quick` over 200 s, its plant built by the run or taken
+as a foreign FMU, side by side.
 
 python benchmarks/isolation.py > benchmarks/results/isolation.md
 """
@@ -20,9 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PAIRS = 9
 HEAD = f"""# What a process of its own costs
 
-`bristle run` of scenario `quick` as a whole command, by its plant: built (in the process of the run), or the same FMU given by
-its file (all FMUs in a process of its own). {PAIRS} pairs in turn. Made by
-`python benchmarks/isolation.py > benchmarks/results/isolation.md`
+`bristle run` of scenario `quick` as a whole command, by its plant: built (in the process of the
+run), or the same FMU given by its file (all FMUs in a process of its own). {PAIRS} pairs in turn.
+Made by `python benchmarks/isolation.py > benchmarks/results/isolation.md`
 
 | time simulated, s | built, median (least), s | by its file, median (least), s | ratio (of the least) | same signals |
 |---|---|---|---|---|"""
@@ -37,7 +38,11 @@ def timed(scenario: Path, out: Path) -> float:
 
 def main() -> None:
     print(HEAD)
-    quick = (ROOT / "scenarios" / "quick.toml").read_text(encoding="utf-8").replace('name = "quick"\n', "")
+    quick = (
+        (ROOT / "scenarios" / "quick.toml")
+        .read_text(encoding="utf-8")
+        .replace('name = "quick"\n', "")
+    )
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "plant.fmu").write_bytes(obtain("plant").read_bytes())
@@ -55,7 +60,10 @@ def main() -> None:
             own, apart = (statistics.median(times[:, k]) for k in (0, 1))
             least = times.min(axis=0)
             cells = [f"{duration}", f"{own:.2f} ({least[0]:.2f})", f"{apart:.2f} ({least[1]:.2f})"]
-            cells += [f"{apart / own:.2f} ({least[1] / least[0]:.2f})", "yes" if signals[0] == signals[1] else "no"]
+            cells += [
+                f"{apart / own:.2f} ({least[1] / least[0]:.2f})",
+                "yes" if signals[0] == signals[1] else "no",
+            ]
             print(f"| {' | '.join(cells)} |", flush=True)
 
 

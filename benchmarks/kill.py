@@ -1,12 +1,14 @@
-"""Commands that are killed at random instants: nothing reported done is lost, no wrong digit after, no litter older than a day.
+"""Commands that are killed at random instants: nothing reported done is lost, no wrong digit after,
+no litter older than a day.
 
 python benchmarks/kill.py > benchmarks/results/kill.md
 
-Each command is killed (SIGKILL) so and so many times, in a fork of a process that has imported what it needs, at an instant drawn
-evenly from its usual duration and a tenth more. Whatever it said to be done before it died must be there. What the next command
-finds in the result folder (it finishes what was begun) must be the old result or the new one, complete; it must end well, with the
-digits of a command that was never killed. All work in progress that is left is made two days old before that, and the next command
-must remove it.
+Each command is killed (SIGKILL) so and so many times, in a fork of a process that has imported what
+it needs, at an instant drawn evenly from its usual duration and a tenth more. Whatever it said to
+be done before it died must be there. What the next command finds in the result folder (it finishes
+what was begun) must be the old result or the new one, complete; it must end well, with the digits
+of a command that was never killed. All work in progress that is left is made two days old before
+that, and the next command must remove it.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ from bristle.common.work import OLD
 from bristle.harness.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}  # keys of results that no two calls have in common
+# keys of results that no two calls have in common
+OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}
 MARGIN = 1.1  # the latest instant, as a share of the usual duration
 SAMPLES = 4000  # of the record that is diagnosed
 SEED = 20
@@ -68,10 +71,26 @@ class Command:
 
 COMMANDS = (
     Command("run", ("run", "case.toml", "--out", "out"), "report.html", 140),
-    Command("diagnose", ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"), "report.html", 20),
-    Command("build, empty cache", ("build", "controller", "--out", "out"), "Controller.fmu", 40, empty_cache=True),
+    Command(
+        "diagnose",
+        ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"),
+        "report.html",
+        20,
+    ),
+    Command(
+        "build, empty cache",
+        ("build", "controller", "--out", "out"),
+        "Controller.fmu",
+        40,
+        empty_cache=True,
+    ),
 )
-SWEEP = Command("sweep", ("sweep", "case.toml", "--seeds", "1-48", "-j", "2", "--out", "out", "--resume"), " runs in ", 40)
+SWEEP = Command(
+    "sweep",
+    ("sweep", "case.toml", "--seeds", "1-48", "-j", "2", "--out", "out", "--resume"),
+    " runs in ",
+    40,
+)
 SCENARIO = """
 duration = "5 s"
 [plant]
@@ -84,12 +103,13 @@ min = 1
 """
 HEAD = f"""# Commands that are killed
 
-Each command was killed (SIGKILL), its imports done, at instants drawn evenly from its usual duration and a tenth more. "Old" and
-"new" say which result was in the folder afterwards, complete; the next command then had to give the digits of one that was never
-killed. "Done" says how often the command had said before that its result was written. All work in progress that was left was made
-two days old; the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. The
-store of a sweep was empty before ("old"), whole ("new") or held some of its runs ("neither"); `--resume` made the rest. Made by
-`python benchmarks/kill.py > benchmarks/results/kill.md`
+Each command was killed (SIGKILL), its imports done, at instants drawn evenly from its usual
+duration and a tenth more. "Old" and "new" say which result was in the folder afterwards, complete;
+the next command then had to give the digits of one that was never killed. "Done" says how often the
+command had said before that its result was written. All work in progress that was left was made two
+days old; the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. The
+store of a sweep was empty before ("old"), whole ("new") or held some of its runs ("neither");
+`--resume` made the rest. Made by `python benchmarks/kill.py > benchmarks/results/kill.md`
 
 | command | usual duration, s | kills | done | old | new | neither | done and lost | wrong digits after | litter older than a day |
 |---|---|---|---|---|---|---|---|---|---|"""
@@ -103,7 +123,9 @@ def without(tree: Any) -> Any:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """Return what is in a result folder, as far as two calls have it in common: of a page whether it is complete."""
+    """Return what is in a result folder, as far as two calls have it in common: of a page whether
+    it is complete.
+    """
     found: dict[str, Any] = {}
     for path in sorted(folder.rglob("*") if folder.exists() else ()):
         if path.is_file() and ".bristle-" not in str(path):
@@ -116,7 +138,9 @@ def content(folder: Path) -> dict[str, Any]:
 
 
 class Place:
-    """A folder in which a command runs, with its own cache and its own folder for temporary files."""
+    """A folder in which a command runs, with its own cache and its own folder for temporary
+    files.
+    """
 
     def __init__(self, folder: Path, command: Command) -> None:
         self.folder, self.command, self.cache = folder, command, folder / "cache"
@@ -125,10 +149,14 @@ class Place:
         hidden = ROOT / "scenarios" / "hidden" / "07"
         shutil.copy(hidden / "model.toml", folder)
         with np.load(hidden / "a.npz") as record:
-            np.savez(folder / "a.npz", **{name: values[:SAMPLES] for name, values in record.items()})
+            np.savez(
+                folder / "a.npz", **{name: values[:SAMPLES] for name, values in record.items()}
+            )
 
     def imported(self) -> None:
-        """Run the command in this process, which then has all imported, and keep what it says for itself."""
+        """Run the command in this process, which then has all imported, and keep what it says for
+        itself.
+        """
         before, sys.argv = Path.cwd(), ["bristle", *self.command.arguments]
         os.chdir(self.folder)
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
@@ -136,7 +164,9 @@ class Place:
         os.chdir(before)
 
     def start(self) -> tuple[int, int]:
-        """Start the command in a fork, which has imported what it needs; return process id and the pipe of what it says."""
+        """Start the command in a fork, which has imported what it needs; return process id and the
+        pipe of what it says.
+        """
         said, answer = os.pipe()
         if child := os.fork():
             os.close(answer)
@@ -192,7 +222,9 @@ def older(place: Place) -> Path:
     files = sorted(path for path in old.rglob("*") if path.is_file())
     for path in files:
         if path.suffix == ".json":
-            path.write_text(json.dumps(json.loads(path.read_text()) | {"notes": ["old"]}), encoding="utf-8")
+            path.write_text(
+                json.dumps(json.loads(path.read_text()) | {"notes": ["old"]}), encoding="utf-8"
+            )
         elif path.suffix in (".fmu", ".toml", ".csv"):
             path.write_bytes(b"old")
     return old
@@ -228,11 +260,16 @@ def row(command: Command, share: float, chance: random.Random) -> str:
             count["wrong"] += place.whole() != new
             count["litter"] += bool(place.left())
         figures = [f"{usual:.1f}", str(kills), *(str(count[key]) for key in count)]
-    return f"| `{command.arguments[0]}`{command.name.removeprefix(command.arguments[0])} | {' | '.join(figures)} |"
+    return (
+        f"| `{command.arguments[0]}`{command.name.removeprefix(command.arguments[0])} |"
+        f" {' | '.join(figures)} |"
+    )
 
 
 def sweep_row(share: float, chance: random.Random) -> str:
-    """Kill a sweep, go on with --resume, and return its row: "new" says that its store was whole already."""
+    """Kill a sweep, go on with --resume, and return its row: "new" says that its store was whole
+    already.
+    """
     with tempfile.TemporaryDirectory() as name:
         place = Place(Path(name), SWEEP)
         place.imported()
@@ -258,18 +295,25 @@ def sweep_row(share: float, chance: random.Random) -> str:
             place.whole()
             count["wrong"] += table(place) != new
             count["litter"] += bool(place.left())
-        return f"| `sweep` | {usual:.1f} | {kills} | {' | '.join(str(each) for each in count.values())} |"
+        return (
+            f"| `sweep` | {usual:.1f} | {kills} |"
+            f" {' | '.join(str(each) for each in count.values())} |"
+        )
 
 
 def table(place: Place) -> dict[str, Any]:
-    """Return the runs of a store by their keys, without the time that they took; none if there is no store."""
+    """Return the runs of a store by their keys, without the time that they took; none if there is
+    no store.
+    """
     store = Store(place.folder / "out")
     rows = store.table().to_pylist() if store.files() else []
     return {row["key"]: without(row) for row in rows}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--share", type=float, default=1.0, help="of the kills, for a quick look")
     share, chance = parser.parse_args().share, random.Random(SEED)
     print(HEAD)

@@ -1,9 +1,11 @@
-"""Pairs of log files of one simulated servo, as ten loggers write them: what bristle init and diagnose make of them.
+"""Pairs of log files of one simulated servo, as ten loggers write them: what bristle init and
+diagnose make of them.
 
     python benchmarks/loggers.py             # bristle init on each pair, against the true parameters
     python benchmarks/loggers.py --diagnose  # and a diagnosis with the proposed file as it is
 
-The servo is that of the blind test (benchmarks/blind/truth.c), with a cogging torque that the proposed model does not have.
+The servo is that of the blind test (benchmarks/blind/truth.c), with a cogging torque that the
+proposed model does not have.
 """
 
 from __future__ import annotations
@@ -45,9 +47,10 @@ START = np.datetime64("2026-11-24T17:50:41.000000000")
 class Style:
     """How a logger writes a record, and what `propose` should say of it.
 
-    `write` takes path, time [s], torque [N.m], position [rad] and speed [rad/s]. `gain`: torque per unit of the input; `worth`:
-    output in its own SI unit per rad (1, unless it is the voltage of a sensor); `step`: of the output as logged, in the unit of
-    its column, None if there is none to be found.
+    `write` takes path, time [s], torque [N.m], position [rad] and speed [rad/s]. `gain`: torque per
+    unit of the input; `worth`: output in its own SI unit per rad (1, unless it is the voltage of a
+    sensor); `step`: of the output as logged, in the unit of its column, None if there is none to be
+    found.
     """
 
     suffix: str
@@ -65,12 +68,20 @@ def servo_records(seed: int = 5) -> tuple[Record, Record]:
     """Return two records of the servo, 20 s each at 1 kHz."""
     drawn = draw_scene(np.random.default_rng(seed), "rich")
     scale = SERVO["Fc"] / drawn.base["Fc"]
-    scene = Scene(SERVO, drawn.friction | {"sigma0": drawn.friction["sigma0"] * scale}, drawn.loop, drawn.references, drawn.noises)
+    scene = Scene(
+        SERVO,
+        drawn.friction | {"sigma0": drawn.friction["sigma0"] * scale},
+        drawn.loop,
+        drawn.references,
+        drawn.noises,
+    )
     first, second = scene.records(COGGING)
     return first, second
 
 
-def _text(path: Path, head: str, rows: Sequence[Sequence[str]], mark: str, encoding: str = "utf-8") -> None:
+def _text(
+    path: Path, head: str, rows: Sequence[Sequence[str]], mark: str, encoding: str = "utf-8"
+) -> None:
     path.write_bytes((head + "".join(mark.join(row) + "\n" for row in rows)).encode(encoding))
 
 
@@ -80,21 +91,37 @@ def _fixed(values: Array, digits: int, comma: bool = False) -> list[str]:
 
 
 def _german(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
-    columns = [_fixed(t, 3, True), _fixed(torque, 4, True), _fixed(theta * DEG, 4, True), ["läuft"] * len(t)]
+    columns = [
+        _fixed(t, 3, True),
+        _fixed(torque, 4, True),
+        _fixed(theta * DEG, 4, True),
+        ["läuft"] * len(t),
+    ]
     head = "Prüfstand 3;;;\nZeit [s];Drehmoment [Nm];Winkel [°];Zustand\n"
     _text(path, head, list(zip(*columns, strict=True)), ";", "cp1252")
 
 
 def _oscilloscope(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
-    volts = [_fixed(1e3 * t, 3), _fixed(torque / DRIVE_GAIN, 3), _fixed(np.round(TACHO * speed / 0.005) * 0.005, 3)]
+    volts = [
+        _fixed(1e3 * t, 3),
+        _fixed(torque / DRIVE_GAIN, 3),
+        _fixed(np.round(TACHO * speed / 0.005) * 0.005, 3),
+    ]
     _text(path, "Time,Channel A,Channel B\n(ms),(V),(V)\n\n", list(zip(*volts, strict=True)), ",")
 
 
 def _ros(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
     stamps = START.astype(np.int64) + np.round(t * 1e9).astype(np.int64)
-    late = [str(stamp + 40_000 + 90_000 * (k * k % 7)) for k, stamp in enumerate(stamps)]  # when they arrived
+    # when they arrived
+    late = [str(stamp + 40_000 + 90_000 * (k * k % 7)) for k, stamp in enumerate(stamps)]
     index = [str(k) for k in range(len(t))]
-    columns = [late, index, [str(s) for s in stamps], ["joint"] * len(t), *(_fixed(x, 9) for x in (theta, speed, torque))]
+    columns = [
+        late,
+        index,
+        [str(s) for s in stamps],
+        ["joint"] * len(t),
+        *(_fixed(x, 9) for x in (theta, speed, torque)),
+    ]
     head = "%time,field.header.seq,field.header.stamp,field.name0,field.position0,field.velocity0,field.effort0\n"
     _text(path, head, list(zip(*columns, strict=True)), ",")
 
@@ -103,7 +130,12 @@ def _struct(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> 
     from scipy.io import savemat
 
     savemat(
-        path, {"log": {"time": t[:, None], "torque": torque[:, None], "theta": theta[:, None]}, "Ts": PERIOD}, do_compression=True
+        path,
+        {
+            "log": {"time": t[:, None], "torque": torque[:, None], "theta": theta[:, None]},
+            "Ts": PERIOD,
+        },
+        do_compression=True,
     )
 
 
@@ -111,7 +143,12 @@ def _version_73(path: Path, t: Array, torque: Array, theta: Array, speed: Array)
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in (("t", t), ("i_q", torque / TORQUE_CONSTANT), ("theta", theta), ("theta_ref", np.round(theta, 1))):
+        for name, values in (
+            ("t", t),
+            ("i_q", torque / TORQUE_CONSTANT),
+            ("theta", theta),
+            ("theta_ref", np.round(theta, 1)),
+        ):
             file.create_dataset(name, data=values[None, :], compression="gzip")
     with path.open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
@@ -130,17 +167,31 @@ def _workbook(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -
 
 def _tabs(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
     columns = [_fixed(t, 4), _fixed(torque / TORQUE_CONSTANT, 4), _fixed(speed * RPM, 2)]
-    _text(path, "# Lauf 7\nZeit\tStrom\tDrehzahl\ns\tA\tU/min\n", list(zip(*columns, strict=True)), "\t")
+    _text(
+        path,
+        "# Lauf 7\nZeit\tStrom\tDrehzahl\ns\tA\tU/min\n",
+        list(zip(*columns, strict=True)),
+        "\t",
+    )
 
 
 def _iso(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
     stamps = (START + np.round(t * 1e6).astype("timedelta64[us]")).astype("datetime64[us]")
-    columns = [[f"{stamp}Z" for stamp in stamps], ["RUN"] * len(t), _fixed(torque, 5), _fixed(theta, 6)]
+    columns = [
+        [f"{stamp}Z" for stamp in stamps],
+        ["RUN"] * len(t),
+        _fixed(torque, 5),
+        _fixed(theta, 6),
+    ]
     _text(path, "timestamp,state,torque_Nm,angle_rad\n", list(zip(*columns, strict=True)), ",")
 
 
 def _rpm(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> None:
-    columns = [[str(round(1e3 * x)) for x in t], _fixed(torque / DRIVE_GAIN, 3), _fixed(speed * RPM, 1)]
+    columns = [
+        [str(round(1e3 * x)) for x in t],
+        _fixed(torque / DRIVE_GAIN, 3),
+        _fixed(speed * RPM, 1),
+    ]
     _text(path, "t_ms,voltage_V,speed_rpm\n", list(zip(*columns, strict=True)), ",")
 
 
@@ -150,45 +201,104 @@ def _blanks(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> 
     for k in range(700, len(t), 5000):
         counts[k] = u[k + 9] = u[k + 10] = ""
     columns = [_fixed(t, 3), u, counts, [""] * len(t)]
-    _text(path, "Time (s)\tTorque (N.m)\tEncoder (counts)\t\n", list(zip(*columns, strict=True)), "\t", "utf-16")
+    _text(
+        path,
+        "Time (s)\tTorque (N.m)\tEncoder (counts)\t\n",
+        list(zip(*columns, strict=True)),
+        "\t",
+        "utf-16",
+    )
 
 
 STEP = 360.0 / COUNTS  # deg, of the encoder
 STYLES = {
     "german spreadsheet": Style(
-        ".csv", _german, ("Zeit [s]", "Drehmoment [Nm]", "Winkel [°]"), ("torque", "position"), ("s", "N.m", "deg"), STEP
+        ".csv",
+        _german,
+        ("Zeit [s]", "Drehmoment [Nm]", "Winkel [°]"),
+        ("torque", "position"),
+        ("s", "N.m", "deg"),
+        STEP,
     ),
     "oscilloscope": Style(
-        ".csv", _oscilloscope, ("Time", "Channel A", "Channel B"), ("voltage", "velocity"), ("ms", "V", "V"), 0.005,
-        DRIVE_GAIN, TACHO,
+        ".csv",
+        _oscilloscope,
+        ("Time", "Channel A", "Channel B"),
+        ("voltage", "velocity"),
+        ("ms", "V", "V"),
+        0.005,
+        DRIVE_GAIN,
+        TACHO,
     ),
     "ROS": Style(
-        ".csv", _ros, ("field.header.stamp", "field.effort0", "field.position0"), ("torque", "position"), ("ns", "N.m", "rad"),
+        ".csv",
+        _ros,
+        ("field.header.stamp", "field.effort0", "field.position0"),
+        ("torque", "position"),
+        ("ns", "N.m", "rad"),
         STEP / DEG,
     ),
     "MATLAB struct": Style(
-        ".mat", _struct, ("log.time", "log.torque", "log.theta"), ("torque", "position"), ("s", "N.m", "rad"), STEP / DEG
+        ".mat",
+        _struct,
+        ("log.time", "log.torque", "log.theta"),
+        ("torque", "position"),
+        ("s", "N.m", "rad"),
+        STEP / DEG,
     ),
     "MATLAB 7.3": Style(
-        ".mat", _version_73, ("t", "i_q", "theta"), ("current", "position"), ("s", "A", "rad"), STEP / DEG, TORQUE_CONSTANT
+        ".mat",
+        _version_73,
+        ("t", "i_q", "theta"),
+        ("current", "position"),
+        ("s", "A", "rad"),
+        STEP / DEG,
+        TORQUE_CONSTANT,
     ),
     "workbook": Style(
-        ".xlsx", _workbook, ("Time [ms]", "Motor current [A]", "Position [deg]"), ("current", "position"), ("ms", "A", "deg"),
-        STEP, TORQUE_CONSTANT,
+        ".xlsx",
+        _workbook,
+        ("Time [ms]", "Motor current [A]", "Position [deg]"),
+        ("current", "position"),
+        ("ms", "A", "deg"),
+        STEP,
+        TORQUE_CONSTANT,
     ),
     "tabs and units": Style(
-        ".txt", _tabs, ("Zeit", "Strom", "Drehzahl"), ("current", "velocity"), ("s", "A", "rpm"), 0.01, TORQUE_CONSTANT
+        ".txt",
+        _tabs,
+        ("Zeit", "Strom", "Drehzahl"),
+        ("current", "velocity"),
+        ("s", "A", "rpm"),
+        0.01,
+        TORQUE_CONSTANT,
     ),
     "ISO time": Style(
-        ".csv", _iso, ("timestamp", "torque_Nm", "angle_rad"), ("torque", "position"), ("s", "N.m", "rad"), STEP / DEG
+        ".csv",
+        _iso,
+        ("timestamp", "torque_Nm", "angle_rad"),
+        ("torque", "position"),
+        ("s", "N.m", "rad"),
+        STEP / DEG,
     ),
     "ms and rpm": Style(
-        ".csv", _rpm, ("t_ms", "voltage_V", "speed_rpm"), ("voltage", "velocity"), ("ms", "V", "rpm"), 0.1, DRIVE_GAIN
+        ".csv",
+        _rpm,
+        ("t_ms", "voltage_V", "speed_rpm"),
+        ("voltage", "velocity"),
+        ("ms", "V", "rpm"),
+        0.1,
+        DRIVE_GAIN,
     ),
     "counts and blanks": Style(
-        ".txt", _blanks, ("Time (s)", "Torque (N.m)", "Encoder (counts)"), ("torque", "position"), ("s", "N.m", "1"), 1.0
+        ".txt",
+        _blanks,
+        ("Time (s)", "Torque (N.m)", "Encoder (counts)"),
+        ("torque", "position"),
+        ("s", "N.m", "1"),
+        1.0,
     ),
-}  # fmt: skip
+}
 
 
 def write_pair(style: Style, folder: Path, seconds: float = 20.0) -> list[Path]:
@@ -203,7 +313,9 @@ def write_pair(style: Style, folder: Path, seconds: float = 20.0) -> list[Path]:
 
 
 def mistakes(style: Style, found: Proposal, factor: float = 2.0) -> list[str]:
-    """Return what a proposal has wrong: columns, kinds, units, step, and parameters that are off by more than a factor."""
+    """Return what a proposal has wrong: columns, kinds, units, step, and parameters that are off by
+    more than a factor.
+    """
     chosen = (found.time, found.input, found.output)
     said = {
         "columns": tuple(each.column.column for each in chosen),
@@ -213,7 +325,9 @@ def mistakes(style: Style, found: Proposal, factor: float = 2.0) -> list[str]:
     wrong = [f"{name} {value}" for name, value in said.items() if value != getattr(style, name)]
     shown = resolution_of(found)
     step = None if shown is None else float(shown[1])
-    if (step is None) != (style.step is None) or (step and style.step and abs(step / style.step - 1.0) > 0.05):
+    if (step is None) != (style.step is None) or (
+        step and style.step and abs(step / style.step - 1.0) > 0.05
+    ):
         wrong.append(f"step {step}")
     for name, ratio in ratios(style, found).items():
         if not 1.0 / factor < ratio < factor:
@@ -222,7 +336,9 @@ def mistakes(style: Style, found: Proposal, factor: float = 2.0) -> list[str]:
 
 
 def ratios(style: Style, found: Proposal) -> Mapping[str, float]:
-    """Return the rough parameters over the true ones, in the units in which the record holds them."""
+    """Return the rough parameters over the true ones, in the units in which the record holds
+    them.
+    """
     true = {
         "J": SERVO["J"] / style.gain / style.worth,
         "a2": SERVO["a2"] / style.gain / style.worth,
@@ -243,13 +359,24 @@ def _diagnosed(model: Path, paths: Sequence[Path], out: Path) -> str:
 
 def main() -> int:
     """Write all pairs, propose a model for each, compare it with the truth; print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("styles", nargs="*", help="names of loggers; all without one")
-    parser.add_argument("--diagnose", action="store_true", help="diagnose with the proposed file as it is")
+    parser.add_argument(
+        "--diagnose", action="store_true", help="diagnose with the proposed file as it is"
+    )
     arguments = parser.parse_args()
     right = reports = 0
-    chosen = {name: style for name, style in STYLES.items() if not arguments.styles or name in arguments.styles}
-    print("| files | input, output | J, a2, Fc over the truth | proposal | diagnosis |\n|---|---|---|---|---|")
+    chosen = {
+        name: style
+        for name, style in STYLES.items()
+        if not arguments.styles or name in arguments.styles
+    }
+    print(
+        "| files | input, output | J, a2, Fc over the truth | proposal | diagnosis"
+        " |\n|---|---|---|---|---|"
+    )
     for name, style in chosen.items():
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
@@ -263,10 +390,21 @@ def main() -> int:
             wrong = mistakes(style, found)
             right += not wrong
             shown = ", ".join(f"{ratio:.2f}" for ratio in ratios(style, found).values())
-            said = _diagnosed(folder / "model.toml", paths, folder / "out") if arguments.diagnose else ""
+            said = (
+                _diagnosed(folder / "model.toml", paths, folder / "out")
+                if arguments.diagnose
+                else ""
+            )
             reports += bool(said) and not said.startswith("error")
-            print(f"| {name} | {', '.join(style.kinds)} | {shown} | {'; '.join(wrong) or 'right'} | {said} |", flush=True)
-    print(f"\n{right} of {len(chosen)} proposals right" + (f", {reports} reports." if arguments.diagnose else "."))
+            print(
+                f"| {name} | {', '.join(style.kinds)} | {shown} | {'; '.join(wrong) or 'right'} |"
+                f" {said} |",
+                flush=True,
+            )
+    print(
+        f"\n{right} of {len(chosen)} proposals right"
+        + (f", {reports} reports." if arguments.diagnose else ".")
+    )
     return 0 if right == len(chosen) else 1
 
 

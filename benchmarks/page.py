@@ -8,7 +8,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 
 
 def put(name: str, program: str, text: str, page: Path = PAGE) -> None:
-    """Replace the section of this name, or add it at the end; `program` is the script that writes it."""
+    """Replace the section of this name, or add it at the end; `program` is the script that writes
+    it.
+    """
     begin, end = f"<!-- {name}: written by {program} -->", f"<!-- end of {name} -->"
     old = page.read_text(encoding="utf-8")
     section = f"{begin}\n{text.strip()}\n\n{end}\n"

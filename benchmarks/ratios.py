@@ -1,6 +1,8 @@
-"""Ratios of speeds against those that were measured before: `results/ratios.json`. All are such that more is better.
+"""Ratios of speeds against those that were measured before: `results/ratios.json`. All are such
+that more is better.
 
-`scripts/bench` prints them as a table and fails if one has fallen by more than a fifth; `scripts/bench --accept` writes new ones.
+`scripts/bench` prints them as a table and fails if one has fallen by more than a fifth;
+`scripts/bench --accept` writes new ones.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ LARGEST_FALL = 0.2
 
 
 def judge(part: str, ratios: Mapping[str, float], accept: bool, path: Path = RATIOS_FILE) -> bool:
-    """Print the ratios of a part beside the committed ones, and say whether none has fallen too far; `accept` commits these."""
+    """Print the ratios of a part beside the committed ones, and say whether none has fallen too
+    far; `accept` commits these.
+    """
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     before = kept.get(part, {})
     print(f"\n| {part}: ratio, more is better | measured | before | |\n|---|---|---|---|")
@@ -31,6 +35,10 @@ def judge(part: str, ratios: Mapping[str, float], accept: bool, path: Path = RAT
     for name in missing:
         print(f"| {name} | - | {before[name]:.3g} | not measured |")
     if accept:
-        write_json(path, kept | {part: {name: float(f"{value:.4g}") for name, value in ratios.items()}}, indent=1)
+        write_json(
+            path,
+            kept | {part: {name: float(f"{value:.4g}") for name, value in ratios.items()}},
+            indent=1,
+        )
         return True
     return good

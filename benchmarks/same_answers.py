@@ -5,16 +5,19 @@
     python benchmarks/same_answers.py collect after.json                    # the state of this environment
     python benchmarks/same_answers.py compare before.json after.json        # exit code 1 where they differ
 
-The results are collected through the command line alone, so that both states may differ in everything inside:
+The results are collected through the command line alone, so that both states may differ in
+everything inside:
 
 - FMU: SHA-256 of each C or Python source in the FMUs that `bristle build` writes;
 - scenario: SHA-256 of signals.csv at full rate, estimates and verdict of all shipped scenarios;
-- hidden, measured: numbers and names in diagnosis.json for the cases of scenarios/hidden, and for the measured sets in the folder
-  that BRISTLE_DATA names (default ../shared/data; missing sets are left out).
+- hidden, measured: numbers and names in diagnosis.json for the cases of scenarios/hidden, and for
+  the measured sets in the folder that BRISTLE_DATA names (default ../shared/data; missing sets are
+  left out).
 
-Sentences, times and provenance are not compared, nor are keys that only the later state has. Collect both states on the same
-machine: friction that sticks amplifies differences in rounding. An interrupted `collect` continues with the missing results;
-`--quick` takes all FMUs, six hidden cases, two measured sets and three scenarios.
+Sentences, times and provenance are not compared, nor are keys that only the later state has.
+Collect both states on the same machine: friction that sticks amplifies differences in rounding. An
+interrupted `collect` continues with the missing results; `--quick` takes all FMUs, six hidden
+cases, two measured sets and three scenarios.
 """
 
 from __future__ import annotations
@@ -45,14 +48,27 @@ Json = dict[str, Any]
 Job = Callable[[], Json]
 
 KEYS_NOT_COMPARED = {  # keys of diagnosis.json that hold sentences or times, at any depth
-    "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow", "caveats",
-    "provenance", "wall_s",
-}  # fmt: skip
+    "statement",
+    "findings",
+    "proposals",
+    "experiment",
+    "undetected",
+    "decision",
+    "note",
+    "label",
+    "seconds",
+    "narrow",
+    "caveats",
+    "provenance",
+    "wall_s",
+}
 QUICK_SELECTION = {
-    "hidden": ("01", "05", "07", "12", "18", "23"), "measured": ("odrive_off", "go1_2kg"),
+    "hidden": ("01", "05", "07", "12", "18", "23"),
+    "measured": ("odrive_off", "go1_2kg"),
     "scenario": ("quick", "self_starting", "lugre_original"),
-}  # fmt: skip
-NOMINAL_MODELS = {  # nominal models of the measured sets: kind of input, unit of the output, parameters [SI]
+}
+# nominal models of the measured sets: kind of input, unit of the output, parameters [SI]
+NOMINAL_MODELS = {
     "emps": ("voltage", "m", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.15}),
     "xl330": ("voltage", "rad", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1}),
     "go1": ("torque", "rad", {"J": 0.002, "a2": 0.02, "Fc": 0.02}),
@@ -65,14 +81,24 @@ INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 def numbers_of(content: Any) -> Any:
     """Return a result without the keys that are not compared."""
     if isinstance(content, dict):
-        return {key: numbers_of(value) for key, value in content.items() if key not in KEYS_NOT_COMPARED}
+        return {
+            key: numbers_of(value) for key, value in content.items() if key not in KEYS_NOT_COMPARED
+        }
     return [numbers_of(each) for each in content] if isinstance(content, list) else content
 
 
 def run(command: Sequence[str], *arguments: str | Path) -> None:
     """Run bristle with one thread; raise an error if its exit code is neither 0 nor 1."""
-    environment = os.environ | {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-    done = subprocess.run([*command, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    environment = os.environ | {
+        name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    }
+    done = subprocess.run(
+        [*command, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
     if done.returncode not in (0, 1):
         raise RuntimeError(f"bristle {' '.join(map(str, arguments))}: {done.stderr.strip()}")
 
@@ -80,7 +106,14 @@ def run(command: Sequence[str], *arguments: str | Path) -> None:
 def diagnosed(command: Sequence[str], model: Path, data: Sequence[Path]) -> Json:
     """Return the numbers of a diagnosis."""
     with tempfile.TemporaryDirectory() as out:
-        run(command, "diagnose", model, *(part for path in data for part in ("--data", path)), "--out", Path(out, "d"))
+        run(
+            command,
+            "diagnose",
+            model,
+            *(part for path in data for part in ("--data", path)),
+            "--out",
+            Path(out, "d"),
+        )
         content: Json = json.loads(Path(out, "d", "diagnosis.json").read_text(encoding="utf-8"))
         kept: Json = numbers_of(content)
         return kept
@@ -93,7 +126,11 @@ def simulated(command: Sequence[str], scenario: Path) -> Json:
         folder = Path(out, scenario.stem)
         result: Json = json.loads((folder / "result.json").read_text(encoding="utf-8"))
         digest = hashlib.sha256((folder / "signals.csv").read_bytes()).hexdigest()
-        return {"signals.csv": digest, "estimates": result["estimates"], "verdict": result["verdict"]}
+        return {
+            "signals.csv": digest,
+            "estimates": result["estimates"],
+            "verdict": result["verdict"],
+        }
 
 
 def built(command: Sequence[str], what: str, *options: str) -> Json:
@@ -103,7 +140,11 @@ def built(command: Sequence[str], what: str, *options: str) -> Json:
         [path] = Path(out).glob("*.fmu")
         with zipfile.ZipFile(path) as archive:
             names = [n for n in archive.namelist() if n.startswith("sources/") or n.endswith(".py")]
-            return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in names if not name.endswith("/")}
+            return {
+                name: hashlib.sha256(archive.read(name)).hexdigest()
+                for name in names
+                if not name.endswith("/")
+            }
 
 
 def measured_entries() -> Iterator[tuple[str, str, Sequence[measured.Entry]]]:
@@ -119,10 +160,16 @@ def measured_entries() -> Iterator[tuple[str, str, Sequence[measured.Entry]]]:
         yield f"odrive_{word}", "odrive", measured.odrive(compensated)
 
 
-def measured_case(folder: Path, rig: str, entries: Sequence[measured.Entry]) -> tuple[Path, list[Path]]:
+def measured_case(
+    folder: Path, rig: str, entries: Sequence[measured.Entry]
+) -> tuple[Path, list[Path]]:
     """Write a model file and records into a folder and return where they are."""
     kind, unit, parameters = NOMINAL_MODELS[rig]
-    lines = ['friction = "coulomb"', "[parameters]", *(f"{name} = {value!r}" for name, value in parameters.items())]
+    lines = [
+        'friction = "coulomb"',
+        "[parameters]",
+        *(f"{name} = {value!r}" for name, value in parameters.items()),
+    ]
     lines += [
         "[time]",
         'column = "t"',
@@ -160,11 +207,19 @@ def jobs(command: Sequence[str], folder: Path, quick: bool) -> dict[str, Job]:
     for name, rig, entries in measured_entries():
         add("measured", name, diagnosed, *measured_case(folder / name, rig, entries))
     for path in sorted((ROOT / "scenarios" / "hidden").glob("*/model.toml")):
-        add("hidden", path.parent.name, diagnosed, path, [path.parent / "a.npz", path.parent / "b.npz"])
+        add(
+            "hidden",
+            path.parent.name,
+            diagnosed,
+            path,
+            [path.parent / "a.npz", path.parent / "b.npz"],
+        )
     return work
 
 
-def collect(target: Path, command: Sequence[str], workers: int, quick: bool, only: Sequence[str]) -> int:
+def collect(
+    target: Path, command: Sequence[str], workers: int, quick: bool, only: Sequence[str]
+) -> int:
     """Write the results of one state into a file; those that it holds already are kept."""
     answers: Json = json.loads(target.read_text(encoding="utf-8")) if target.exists() else {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
@@ -182,10 +237,16 @@ def collect(target: Path, command: Sequence[str], workers: int, quick: bool, onl
 
 
 def differences(before: Any, after: Any, where: str) -> Iterator[str]:
-    """Give a line for each difference of two results; keys that only the later one has are no difference."""
+    """Give a line for each difference of two results; keys that only the later one has are no
+    difference.
+    """
     if isinstance(before, dict) and isinstance(after, dict):
         for key, value in before.items():
-            yield from differences(value, after[key], f"{where} {key}") if key in after else [f"{where} {key}: gone"]
+            yield from (
+                differences(value, after[key], f"{where} {key}")
+                if key in after
+                else [f"{where} {key}: gone"]
+            )
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for i, (old, new) in enumerate(zip(before, after, strict=True)):
             yield from differences(old, new, f"{where} {i}")
@@ -194,26 +255,43 @@ def differences(before: Any, after: Any, where: str) -> Iterator[str]:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print the differences of two files of results; return 1 if there are any or the later one lacks a result."""
-    old, new = (numbers_of(json.loads(path.read_text(encoding="utf-8"))) for path in (before, after))
+    """Print the differences of two files of results; return 1 if there are any or the later one
+    lacks a result.
+    """
+    old, new = (
+        numbers_of(json.loads(path.read_text(encoding="utf-8"))) for path in (before, after)
+    )
     lines = list(differences({key: old[key] for key in old if key in new}, new, ""))
     missing = sorted(set(old) - set(new))
     for line in lines[:SHOWN_DIFFERENCES]:
         print(line.strip())
-    print(f"{len(lines)} differences in {len(set(old) & set(new))} answers; {len(missing)} missing {', '.join(missing)}".rstrip())
+    print(
+        f"{len(lines)} differences in {len(set(old) & set(new))} answers; {len(missing)} missing"
+        f" {', '.join(missing)}".rstrip()
+    )
     return int(bool(lines or missing or not old))
 
 
 def main() -> int:
     """Collect or compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     one = verbs.add_parser("collect")
     one.add_argument("target", type=Path)
-    one.add_argument("--bristle", default=shutil.which("bristle"), help="the command of the state to collect")
+    one.add_argument(
+        "--bristle", default=shutil.which("bristle"), help="the command of the state to collect"
+    )
     one.add_argument("--jobs", type=int, default=2)
     one.add_argument("--quick", action="store_true")
-    one.add_argument("--only", nargs="*", default=[], metavar="NAME", help='such as "hidden 07" "scenario quick" "measured emps"')
+    one.add_argument(
+        "--only",
+        nargs="*",
+        default=[],
+        metavar="NAME",
+        help='such as "hidden 07" "scenario quick" "measured emps"',
+    )
     two = verbs.add_parser("compare")
     two.add_argument("before", type=Path)
     two.add_argument("after", type=Path)

@@ -45,8 +45,23 @@ LINKS = (
     (("plant", "v"), ("observer", "y_v")),
     (("plant", "theta"), ("observer", "y_theta")),
 )
-RECORD = (("plant", "theta"), ("plant", "v"), ("controller", "u"), ("observer", "alpha2_hat"), ("observer", "sigma0_hat"))
-CORE_FUNCTIONS = ("defaults", "derive", "initialise", "advance", "outputs", "rates", "jacobian", "message")
+RECORD = (
+    ("plant", "theta"),
+    ("plant", "v"),
+    ("controller", "u"),
+    ("observer", "alpha2_hat"),
+    ("observer", "sigma0_hat"),
+)
+CORE_FUNCTIONS = (
+    "defaults",
+    "derive",
+    "initialise",
+    "advance",
+    "outputs",
+    "rates",
+    "jacobian",
+    "message",
+)
 Cores = dict[str, tuple[Program, ctypes.Array[ctypes.c_char]]]
 
 
@@ -68,11 +83,17 @@ def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
         own = [*(f"core_{function}" for function in CORE_FUNCTIONS), "VARIANTS", "START", *variants]
         rename = "".join(f"#define {x} {name}_{x}\n" for x in own)
         for unit in (file for file in text if file.endswith(".c")):
-            sources[f"{name}_{unit}"] = text[unit].replace('#include "core.h"', f'{rename}#include "{name}_core.h"')
+            sources[f"{name}_{unit}"] = text[unit].replace(
+                '#include "core.h"', f'{rename}#include "{name}_core.h"'
+            )
         sources[f"{name}_core.h"] = text["core.h"].replace("model.h", f"{name}_model.h")
         sources[f"{name}_model.h"] = text["model.h"]
-    key = digest(*FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair))
-    library = ctypes.CDLL(str(cached(f"plain-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))))
+    key = digest(
+        *FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair)
+    )
+    library = ctypes.CDLL(
+        str(cached(f"plain-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out)))
+    )
     library.plain_run.restype = ctypes.c_longlong
     return library
 
@@ -103,22 +124,36 @@ def time_plain(parts: dict[str, tuple[Program, str]], steps: int) -> tuple[float
     begin = time.perf_counter()
     done = library.plain_run(
         *(cores[name][1] for name in ("plant", "controller", "observer")),
-        ctypes.c_longlong(steps), ctypes.c_double(COMMUNICATION_STEP),
-        len(LINKS), pointer(ends[0]), pointer(ends[1]), len(RECORD), pointer(taps), pointer(record),
-    )  # fmt: skip
+        ctypes.c_longlong(steps),
+        ctypes.c_double(COMMUNICATION_STEP),
+        len(LINKS),
+        pointer(ends[0]),
+        pointer(ends[1]),
+        len(RECORD),
+        pointer(taps),
+        pointer(record),
+    )
     assert done == steps, f"the plain loop ended at step {done}"
     return time.perf_counter() - begin, record
 
 
 def bus(kind: str, steps: int) -> Bus:
     """Return the bus of three FMUs."""
-    fmus = {name: Fmu(obtain(name, fmi=2, kind=kind)) for name in ("plant", "controller", "observer")}
+    fmus = {
+        name: Fmu(obtain(name, fmi=2, kind=kind)) for name in ("plant", "controller", "observer")
+    }
     chosen = {
         "plant": {"law": fmus["plant"].choices("law")["modified"]},
         "controller": {},
         "observer": {"method": fmus["observer"].choices("method")[TIMED_METHOD]},
     }
-    return Bus(tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()), steps, COMMUNICATION_STEP, LINKS, record=RECORD)
+    return Bus(
+        tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()),
+        steps,
+        COMMUNICATION_STEP,
+        LINKS,
+        record=RECORD,
+    )
 
 
 def time_native(steps: int) -> tuple[float, np.ndarray]:
@@ -130,14 +165,20 @@ def time_native(steps: int) -> tuple[float, np.ndarray]:
 
 
 def time_calls(kind: str, steps: int) -> tuple[float, np.ndarray]:
-    """Return (seconds, record) of a tight loop of FMPy's own calls: set, step and get for each FMU, links by list index."""
+    """Return (seconds, record) of a tight loop of FMPy's own calls: set, step and get for each FMU,
+    links by list index.
+    """
     with Session(bus(kind, steps)) as session:
         nodes = list(session.nodes.items())
         for _, node in nodes:
             node.read()
         units = [(n.slave.instance, n.in_vr.tolist(), n.out_vr.tolist()) for _, n in nodes]
         outputs = [n.output.tolist() for _, n in nodes]
-        where = {(name, port): (i, j) for i, (name, n) in enumerate(nodes) for j, port in enumerate(n.outputs)}
+        where = {
+            (name, port): (i, j)
+            for i, (name, n) in enumerate(nodes)
+            for j, port in enumerate(n.outputs)
+        }
         sources = {to: where[source] for source, to in LINKS}
         wiring = [[sources[(name, port)] for port in n.inputs] for name, n in nodes]
         taps = [where[port] for port in RECORD]
@@ -153,10 +194,18 @@ def time_calls(kind: str, steps: int) -> tuple[float, np.ndarray]:
         return time.perf_counter() - begin, np.array(record)
 
 
-def arithmetic(parts: dict[str, tuple[Program, str]], record: np.ndarray) -> list[tuple[str, float, float]]:
-    """Return (name, us a step, internal steps a step) of each program alone on the recorded signals."""
+def arithmetic(
+    parts: dict[str, tuple[Program, str]], record: np.ndarray
+) -> list[tuple[str, float, float]]:
+    """Return (name, us a step, internal steps a step) of each program alone on the recorded
+    signals.
+    """
     theta, v, u = record[:-1, 0], record[:-1, 1], record[:-1, 2]
-    inputs = {"plant": {"u": u}, "controller": {"y_v": v}, "observer": {"u": u, "y_v": v, "y_theta": theta}}
+    inputs = {
+        "plant": {"u": u},
+        "controller": {"y_v": v},
+        "observer": {"u": u, "y_v": v, "y_theta": theta},
+    }
     rows = []
     for name, (program, variant) in parts.items():
         instance = Native(program, variant=variant or None)
@@ -176,14 +225,18 @@ def cost(instance: Native, inputs: dict[str, np.ndarray]) -> float:
 
 
 def observer_costs(record: np.ndarray) -> dict[str, float]:
-    """Return the us a step of each observer alone, with all its parameters at their defaults, on the first 20 000 steps."""
+    """Return the us a step of each observer alone, with all its parameters at their defaults, on
+    the first 20 000 steps.
+    """
     theta, v, u = record[:20_000, 0], record[:20_000, 1], record[:20_000, 2]
     inputs = {"u": u, "y_v": v, "y_theta": np.floor(theta / ENCODER_COUNT) * ENCODER_COUNT}
     return {method: cost(Native(observer_program(method)), inputs) for method in methods()}
 
 
 def paired(runs: int, *loops: Callable[[], tuple[float, np.ndarray]]) -> list[float]:
-    """Run the loops in turn and return the median time of each, so that a drift of the machine hits all alike."""
+    """Run the loops in turn and return the median time of each, so that a drift of the machine hits
+    all alike.
+    """
     times: list[list[float]] = [[] for _ in loops]
     for _ in range(runs):
         for loop, seen in zip(loops, times, strict=True):
@@ -196,16 +249,27 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--runs", type=int, default=9)
-    parser.add_argument("--accept", action="store_true", help="commit the ratios as those to compare with")
+    parser.add_argument(
+        "--accept", action="store_true", help="commit the ratios as those to compare with"
+    )
     given = parser.parse_args()
     n, parts = given.steps, programs()
     reference, fast = time_plain(parts, n)[1], time_native(n)[1]
     plain, native = paired(given.runs, lambda: time_plain(parts, n), lambda: time_native(n))
     calls, by_call = time_calls("native", n)
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # pythonfmu now and then harms its host's memory
+    # pythonfmu now and then harms its host's memory
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         python, by_python = pool.submit(time_calls, "python", n).result()
-    us = {name: 1e6 * t / n for name, t in zip(("plain", "native", "fmpy", "python"), (plain, native, calls, python), strict=True)}
-    print(f"{n} steps of 1 ms, controller + plant (modified) + observer ({TIMED_METHOD}); medians of {given.runs} runs in turn\n")
+    us = {
+        name: 1e6 * t / n
+        for name, t in zip(
+            ("plain", "native", "fmpy", "python"), (plain, native, calls, python), strict=True
+        )
+    }
+    print(
+        f"{n} steps of 1 ms, controller + plant (modified) + observer ({TIMED_METHOD}); medians of"
+        f" {given.runs} runs in turn\n"
+    )
     print("| loop | us/step | ratio to plain |\n|---|---|---|")
     for name, value in us.items():
         print(f"| {name} | {value:.3f} | {value / us['plain']:.2f} |")
@@ -214,7 +278,12 @@ def main() -> int:
     same = [float(np.max(np.abs(other - reference))) for other in (fast, by_call, by_python)]
     checks = [
         ("overhead of our loop / plain loop, %", 100 * overhead / us["plain"], "<=", 20.0),
-        ("overhead of FMPy's calls / overhead of our loop", other / max(overhead, 1e-9), ">=", 50.0),
+        (
+            "overhead of FMPy's calls / overhead of our loop",
+            other / max(overhead, 1e-9),
+            ">=",
+            50.0,
+        ),
         ("pythonfmu FMUs with FMPy / our loop", us["python"] / us["native"], ">=", 30.0),
         ("largest difference of native and fmpy from plain", max(same[:2]), "<=", 0.0),
         ("largest difference of python from plain", same[2], "<=", 1e-9),
@@ -229,8 +298,13 @@ def main() -> int:
     print("\n| observer alone | us/step |\n|---|---|")
     for name, value in sorted(costs.items(), key=lambda item: item[1]):
         print(f"| {name} | {value:.2f} |")
-    good = all(value <= limit if sign == "<=" else value >= limit for _, value, sign, limit in checks)
-    ratios = {f"{name} / native loop, time": us[name] / us["native"] for name in ("plain", "fmpy", "python")}
+    good = all(
+        value <= limit if sign == "<=" else value >= limit for _, value, sign, limit in checks
+    )
+    ratios = {
+        f"{name} / native loop, time": us[name] / us["native"]
+        for name in ("plain", "fmpy", "python")
+    }
     return 0 if judge("loop", ratios, given.accept) and good else 1
 
 

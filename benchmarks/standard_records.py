@@ -1,4 +1,6 @@
-"""Records of the benchmark plants under the reference controller, made by the FMUs and kept for the process."""
+"""Records of the benchmark plants under the reference controller, made by the FMUs and kept for the
+process.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,23 @@ from bristle.observer import observer_program
 
 RECORD_STEP = 1e-3
 SERVO = {"J": 0.001, "b": 0.0065, "a2": 0.002}  # alpha2 = 2 1/s, b = 6.5 rad/(s2.V)
-LUGRE_PLANT = {"lugre.sigma0": 0.8, "lugre.Fc": 0.004, "lugre.Fs": 0.0072, "lugre.vs": math.radians(25.0)}
+LUGRE_PLANT = {
+    "lugre.sigma0": 0.8,
+    "lugre.Fc": 0.004,
+    "lugre.Fs": 0.0072,
+    "lugre.vs": math.radians(25.0),
+}
 
 GMS_PLANT = {
-    "gms.Fc": 0.004, "gms.Fs": 0.0072, "gms.vs": math.radians(25.0), "gms.C": 0.2,
+    "gms.Fc": 0.004,
+    "gms.Fs": 0.0072,
+    "gms.vs": math.radians(25.0),
+    "gms.C": 0.2,
     **{f"gms.k{i}": k for i, k in enumerate((0.4, 0.25, 0.15, 0.08), start=1)},
     **{f"gms.alpha{i}": share for i, share in enumerate((0.1, 0.2, 0.3, 0.4), start=1)},
-}  # fmt: skip
-LOAD_CHANGE_TIME, TIME_AFTER_CHANGE = 60.0, 30.0  # s: when the normal load doubles, and how long the record goes on
+}
+# s: when the normal load doubles, and how long the record goes on
+LOAD_CHANGE_TIME, TIME_AFTER_CHANGE = 60.0, 30.0
 
 
 def modified(sigma0: float, sigma1: float, sigma2: float, c: float) -> dict[str, float]:
@@ -41,19 +52,39 @@ RECORD_PLANTS = {
     "GMS": ("gms", SERVO | GMS_PLANT),
 }
 TRUE_PARAMETERS = {
-    "S": {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0},
-    "R": {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 800.0, "sigma1": 1067.0, "sigma2": 400.0, "c": 200.0},
+    "S": {
+        "alpha2": 2.0,
+        "b": 6.5,
+        "Fc": 4.0,
+        "sigma0": 600.0,
+        "sigma1": 800.0,
+        "sigma2": 300.0,
+        "c": 150.0,
+    },
+    "R": {
+        "alpha2": 2.0,
+        "b": 6.5,
+        "Fc": 4.0,
+        "sigma0": 800.0,
+        "sigma1": 1067.0,
+        "sigma2": 400.0,
+        "c": 200.0,
+    },
 }
 
 
 @lru_cache(maxsize=200)
 def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArray[np.float64]]:
-    """Return u, y_theta, y_v and the encoder's position and velocity, one value a sample, of a run from rest."""
+    """Return u, y_theta, y_v and the encoder's position and velocity, one value a sample, of a run
+    from rest.
+    """
     return _run(plant, order, seed, seconds)
 
 
 def changed(plant: str, order: int, seed: int) -> dict[str, NDArray[np.float64]]:
-    """Return the same of a run in which the normal load doubles after `LOAD_CHANGE_TIME` seconds."""
+    """Return the same of a run in which the normal load doubles after `LOAD_CHANGE_TIME`
+    seconds.
+    """
     return _run(
         plant,
         order,
@@ -64,17 +95,28 @@ def changed(plant: str, order: int, seed: int) -> dict[str, NDArray[np.float64]]
 
 
 def _run(
-    plant: str, order: int, seed: int, seconds: float, events: tuple[tuple[int, tuple[str, str], float], ...] = ()
+    plant: str,
+    order: int,
+    seed: int,
+    seconds: float,
+    events: tuple[tuple[int, tuple[str, str], float], ...] = (),
 ) -> dict[str, NDArray[np.float64]]:
     law, parameters = RECORD_PLANTS[plant]
     servo = Fmu(obtain("plant"))
     instances = (
         Instance("plant", servo, {"law": servo.choices("law")[law], **parameters}),
-        Instance("controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}),
+        Instance(
+            "controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}
+        ),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
-    taps = (("controller", "u"), *(("plant", name) for name in ("theta", "v", "theta_enc", "v_enc")))
-    trace = simulate(Bus(instances, round(seconds / RECORD_STEP), RECORD_STEP, links, events, record=taps))
+    taps = (
+        ("controller", "u"),
+        *(("plant", name) for name in ("theta", "v", "theta_enc", "v_enc")),
+    )
+    trace = simulate(
+        Bus(instances, round(seconds / RECORD_STEP), RECORD_STEP, links, events, record=taps)
+    )
     if trace.failure is not None:
         raise RuntimeError(trace.failure.message)
     names = ("u", "y_theta", "y_v", "encoder", "encoder_v")
@@ -82,16 +124,26 @@ def _run(
 
 
 def observe(
-    method: str, names: Sequence[str], data: Mapping[str, NDArray[np.float64]], plant: str, given: Mapping[str, float]
+    method: str,
+    names: Sequence[str],
+    data: Mapping[str, NDArray[np.float64]],
+    plant: str,
+    given: Mapping[str, float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (error at the end in %, last time the error exceeds 5 %) of each parameter of a method on a record.
+    """Return (error at the end in %, last time the error exceeds 5 %) of each parameter of a method
+    on a record.
 
-    A parameter that is still outside at the end counts as settling after the record; `given` are parameters of the
-    method, without its name.
+    A parameter that is still outside at the end counts as settling after the record; `given` are
+    parameters of the method, without its name.
     """
-    instance = Native(observer_program(method), {f"{method}.{name}": value for name, value in given.items()})
+    instance = Native(
+        observer_program(method), {f"{method}.{name}": value for name, value in given.items()}
+    )
     inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
     out, _ = instance.run(RECORD_STEP, inputs, [f"{name}_hat" for name in names])
-    error = 100.0 * (out[1:] / [TRUE_PARAMETERS[plant][name] for name in names] - 1.0)  # row k is the estimate for t_k
+    # row k is the estimate for t_k
+    error = 100.0 * (out[1:] / [TRUE_PARAMETERS[plant][name] for name in names] - 1.0)
     late = [np.flatnonzero(~(np.abs(column) <= 5.0)) for column in error.T]
-    return error[-1], np.array([(rows[-1] + 1) * RECORD_STEP if len(rows) else 0.0 for rows in late])
+    return error[-1], np.array(
+        [(rows[-1] + 1) * RECORD_STEP if len(rows) else 0.0 for rows in late]
+    )

@@ -1,10 +1,11 @@
-"""What a sweep costs: threads, store and verdicts, a cluster, and other ways to make the same runs, side by side in one run.
+"""What a sweep costs: threads, store and verdicts, a cluster, and other ways to make the same runs,
+side by side in one run.
 
 python benchmarks/sweep.py [--runs 1000] > benchmarks/results/sweep.md
 
-All ways make runs of scenario `quick` (20 s at 1 ms: controller, plant, observer). They are timed in turn, several times, and the
-median is taken, since the speed of a machine changes. Other importers get the same FMUs; they record the same signals but judge
-nothing.
+All ways make runs of scenario `quick` (20 s at 1 ms: controller, plant, observer). They are timed
+in turn, several times, and the median is taken, since the speed of a machine changes. Other
+importers get the same FMUs; they record the same signals but judge nothing.
 """
 
 from __future__ import annotations
@@ -43,7 +44,15 @@ ROUNDS = 3
 FEW = 24  # runs of the slow ways
 STEPS = 20_000  # of a run
 OWN_WAYS = 7  # of `measure`, with FMPy's, the last of them
-LANES_SCENARIOS = ("quick", "disturbed", "encoder_two_step", "self_starting", "compensation", "load_change", "lugre_original")
+LANES_SCENARIOS = (
+    "quick",
+    "disturbed",
+    "encoder_two_step",
+    "self_starting",
+    "compensation",
+    "load_change",
+    "lugre_original",
+)
 LANES_LENGTH = ["duration=20 s"]
 LANES_ROUNDS = 5
 VARY = "plant.parameters.J=uniform(0.0008, 0.0012) kg.m2"
@@ -74,14 +83,23 @@ def by_lanes(buses: Sequence[Bus], together: Together) -> None:
 
 
 def lanes_over_fmus(name: str) -> tuple[float, float, float]:
-    """Return ms a run by FMUs and in lanes, and the median ratio, of one scenario with other inertias and seeds."""
+    """Return ms a run by FMUs and in lanes, and the median ratio, of one scenario with other
+    inertias and seeds.
+    """
     setups = []
     for k in range(8):
-        loaded = load(find_scenario(Path(name)), [f"plant.parameters.J={8e-4 + 5e-5 * k} kg.m2", *LANES_LENGTH], k + 1)
+        loaded = load(
+            find_scenario(Path(name)),
+            [f"plant.parameters.J={8e-4 + 5e-5 * k} kg.m2", *LANES_LENGTH],
+            k + 1,
+        )
         setups.append(prepare(loaded, find_fmus(loaded)))
     buses, together = [identification(setup) for setup in setups], Together(setups[0])
     by_lanes(buses, together)
-    both = [(timed(lambda: by_fmus(buses)), timed(lambda: by_lanes(buses, together))) for _ in range(LANES_ROUNDS)]
+    both = [
+        (timed(lambda: by_fmus(buses)), timed(lambda: by_lanes(buses, together)))
+        for _ in range(LANES_ROUNDS)
+    ]
     fmus, lanes = (1e3 * statistics.median(each) / len(buses) for each in zip(*both, strict=True))
     return fmus, lanes, statistics.median(one / other for one, other in both)
 
@@ -117,10 +135,15 @@ def pooled(pool: ProcessPoolExecutor, work: Callable[[Any], None], given: Sequen
     list(pool.map(work, given))
 
 
-def other_importers(pool: ProcessPoolExecutor, package: str) -> dict[str, tuple[int, Callable[[], Any]]]:
+def other_importers(
+    pool: ProcessPoolExecutor, package: str
+) -> dict[str, tuple[int, Callable[[], Any]]]:
     """Return those importers that can be loaded on this machine."""
     found: dict[str, tuple[int, Callable[[], Any]]] = {}
-    for module, name, work in (("libcosimpy", "libcosim", by_libcosim), ("ecospy", "Ecos", by_ecos)):
+    for module, name, work in (
+        ("libcosimpy", "libcosim", by_libcosim),
+        ("ecospy", "Ecos", by_ecos),
+    ):
         try:
             import_module(module)
         except (ImportError, OSError) as error:
@@ -131,19 +154,29 @@ def other_importers(pool: ProcessPoolExecutor, package: str) -> dict[str, tuple[
 
 
 def rate_of(runs: int, seconds: list[float]) -> str:
-    return f"{runs / statistics.median(seconds):.1f} ({runs / max(seconds):.1f} to {runs / min(seconds):.1f})"
+    return (
+        f"{runs / statistics.median(seconds):.1f} ({runs / max(seconds):.1f} to"
+        f" {runs / min(seconds):.1f})"
+    )
 
 
 def main() -> int:
     """Print the tables; exit 1 if a ratio has fallen."""
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool, tempfile.TemporaryDirectory() as folder:
+    with (
+        ProcessPoolExecutor(2, get_context("spawn")) as pool,
+        tempfile.TemporaryDirectory() as folder,
+    ):
         return measure(pool, Path(folder))
 
 
 def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--accept", action="store_true", help="commit the ratios as those to compare with")
+    parser.add_argument(
+        "--accept", action="store_true", help="commit the ratios as those to compare with"
+    )
     given = parser.parse_args()
     runs = given.runs
     few = max(FEW, runs // 10)
@@ -155,11 +188,20 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
     ways: dict[str, tuple[int, Callable[[], Any]]] = {
         "loop over FMUs alone, one thread": (few, lambda: by_fmus(buses)),
         "loop in lanes alone, one thread": (few, lambda: by_lanes(buses, together)),
-        "chunk without store, FMUs, one thread": (few, lambda: run_chunk(replace(sweep, lanes=False), list(some.points()))),
-        "chunk without store, lanes, one thread": (few, lambda: run_chunk(sweep, list(some.points()))),
+        "chunk without store, FMUs, one thread": (
+            few,
+            lambda: run_chunk(replace(sweep, lanes=False), list(some.points())),
+        ),
+        "chunk without store, lanes, one thread": (
+            few,
+            lambda: run_chunk(sweep, list(some.points())),
+        ),
         "`bristle sweep -j 1`": (few, lambda: swept(sweep, some, Means(1))),
         "`bristle sweep -j 2`": (runs, lambda: swept(sweep, asked, Means(2))),
-        "FMPy's calls, pool of 2 processes": (FEW, partial(pooled, pool, by_fmpy, range(1, FEW + 1))),
+        "FMPy's calls, pool of 2 processes": (
+            FEW,
+            partial(pooled, pool, by_fmpy, range(1, FEW + 1)),
+        ),
     }
     ways |= other_importers(pool, str(export(path, kit)))
     for name in list(ways)[OWN_WAYS - 1 :]:
@@ -175,14 +217,23 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
         pass
     else:
         with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-            swept(sweep, some, Means(1, cluster.scheduler_address))  # its workers have imported then
+            # its workers have imported then
+            swept(sweep, some, Means(1, cluster.scheduler_address))
             both: list[tuple[float, float]] = []
             for _ in range(ROUNDS):
                 there = timed(lambda: swept(sweep, asked, Means(1, cluster.scheduler_address)))
                 both.append((there, timed(lambda: swept(sweep, asked, Means(2)))))
             cluster_rate = statistics.median(here / there for there, here in both)
     lanes = {name: lanes_over_fmus(name) for name in LANES_SCENARIOS}
-    return 0 if judge("sweep", report(ways, seconds, runs, cluster_rate, size_of(sweep, asked), lanes), given.accept) else 1
+    return (
+        0
+        if judge(
+            "sweep",
+            report(ways, seconds, runs, cluster_rate, size_of(sweep, asked), lanes),
+            given.accept,
+        )
+        else 1
+    )
 
 
 def size_of(sweep: Sweep, asked: Design) -> tuple[int, int]:
@@ -204,30 +255,56 @@ def report(
     per_run = {name: statistics.median(seconds[name]) / ways[name][0] for name in ways}
     loop, _, chunk_fmus, chunk, one, two, fmpy = list(per_run.values())[:OWN_WAYS]
     print("# What a sweep costs\n")
-    print("`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s at 1 ms) on this machine's")
+    print(
+        "`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s"
+        " at 1 ms) on this machine's"
+    )
     print(f"2 cores, {ROUNDS} rounds in turn; the median, and the range, of the rounds.\n")
     print("| way | runs a round | runs a second |\n|---|---|---|")
     for name, (count, _) in ways.items():
         print(f"| {name} | {count} | {rate_of(count, seconds[name])} |")
     print("\n| figure | value | goal |\n|---|---|---|")
     print(f"| parallel efficiency of 2 threads over {runs} runs | {one / (2 * two):.2f} | >= 0.9 |")
-    print(f"| verdicts and numbers over the loop over FMUs, one thread | {100 * (chunk_fmus / loop - 1):.0f} % | |")
+    print(
+        "| verdicts and numbers over the loop over FMUs, one thread |"
+        f" {100 * (chunk_fmus / loop - 1):.0f} % | |"
+    )
     print(f"| with the store | {100 * ((chunk_fmus + one - chunk) / loop - 1):.0f} % | <= 15 % |")
-    print(f"| a sweep's time, one thread, over that of the loop over FMUs alone | {one / loop:.2f} | |")
-    print(f"| sweep over FMPy's calls in a pool of as many processes | {fmpy / two:.0f} times | >= 10 times |")
+    print(
+        "| a sweep's time, one thread, over that of the loop over FMUs alone |"
+        f" {one / loop:.2f} | |"
+    )
+    print(
+        f"| sweep over FMPy's calls in a pool of as many processes | {fmpy / two:.0f} times | >= 10"
+        " times |"
+    )
     if cluster_rate is not None:
-        print(f"| Dask LocalCluster of 2 workers over 2 threads, runs a second | {cluster_rate:.2f} | >= 0.85 |")
+        print(
+            f"| Dask LocalCluster of 2 workers over 2 threads, runs a second | {cluster_rate:.2f} |"
+            " >= 0.85 |"
+        )
     print(f"| bytes a run in the store, {size[1]} files | {size[0] / runs:.0f} | |")
-    print(f"| largest memory of the process | {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB | bounded |")
-    print("\nLanes step several runs at once, with the digits of the FMUs. Of 8 runs, the loop alone, one thread:\n")
+    print(
+        "| largest memory of the process |"
+        f" {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB | bounded |"
+    )
+    print(
+        "\nLanes step several runs at once, with the digits of the FMUs. Of 8 runs, the loop alone,"
+        " one thread:\n"
+    )
     print("| scenario | FMUs, ms a run | lanes, ms a run | ratio (goal >= 3) |\n|---|---|---|---|")
     for name, (fmus, wide, ratio) in lanes.items():
         print(f"| {name} | {fmus:.1f} | {wide:.1f} | {ratio:.2f} |")
-    found = {"2 threads / 1 thread, runs a second": one / two, "loop over FMUs / sweep, one thread, time": loop / one}
+    found = {
+        "2 threads / 1 thread, runs a second": one / two,
+        "loop over FMUs / sweep, one thread, time": loop / one,
+    }
     found |= {f"FMUs / lanes, {name}, time": ratio for name, (_, _, ratio) in lanes.items()}
     for name, spent in list(per_run.items())[OWN_WAYS - 1 :]:
         found[f"{name} / sweep of 2 threads, time"] = spent / two
-    return found | ({} if cluster_rate is None else {"cluster / 2 threads, runs a second": cluster_rate})
+    return found | (
+        {} if cluster_rate is None else {"cluster / 2 threads, runs a second": cluster_rate}
+    )
 
 
 if __name__ == "__main__":

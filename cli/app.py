@@ -44,23 +44,34 @@ def path_of(given: str | Path) -> Path:
         raise typer.BadParameter(str(error)) from None  # the parser adds which option it is
 
 
-KindOption = Annotated[Kind, typer.Option(help="native: compiled; python: for hosts that run in Python")]
+KindOption = Annotated[
+    Kind, typer.Option(help="native: compiled; python: for hosts that run in Python")
+]
 FmiOption = Annotated[Fmi, typer.Option(help="version of FMI")]
 TimeoutOption = Annotated[
     float | None,
     typer.Option(
-        help="seconds that a simulation of an FMU from elsewhere may take; else a minute for a call", min=0.001, metavar="S"
+        help=(
+            "seconds that a simulation of an FMU from elsewhere may take; else a minute for a call"
+        ),
+        min=0.001,
+        metavar="S",
     ),
 ]
 
 
 def scenario_argument(text: str) -> Any:
     """Return the argument of a command that is one scenario or several; `text` is its help."""
-    return typer.Argument(help=text, metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario)
+    return typer.Argument(
+        help=text, metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario
+    )
 
 
 ScenarioArgument = Annotated[Path, scenario_argument("file, or name from bristle list")]
-SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file"),
+]
 SeedOption = Annotated[int | None, typer.Option(help="seed of the controller's reference")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
 
@@ -75,6 +86,11 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def bristle(
-    version: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version")] = False,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="print the version"),
+    ] = False,
 ) -> None:
-    """Servo friction and the adaptive observers that identify it, as FMUs, co-simulated over scenario files."""
+    """Servo friction and the adaptive observers that identify it, as FMUs, co-simulated over
+    scenario files.
+    """

@@ -1,6 +1,8 @@
-"""What Tab completes: names of laws, methods, effects and scenarios, read from file names and texts.
+"""What Tab completes: names of laws, methods, effects and scenarios, read from file names and
+texts.
 
-Nothing of a catalogue is imported: its imports take longer than a user waits for Tab, and a broken plug-in would print there.
+Nothing of a catalogue is imported: its imports take longer than a user waits for Tab, and a broken
+plug-in would print there.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from bristle.common.errors import BristleError
 from bristle.common.packages import offered
 from bristle.common.plugins import plugin_files
 
-RUNNABLE = (".toml", ".ssp", ".fmu", ".exp")  # suffixes of files that stand where the name of a scenario may
+# suffixes of files that stand where the name of a scenario may
+RUNNABLE = (".toml", ".ssp", ".fmu", ".exp")
 SIGNAL_EFFECT = re.compile(r'^[A-Z_]+ = Extension\(\s*"(\w+)"', re.MULTILINE)
 
 
@@ -34,7 +37,9 @@ def complete_effect(incomplete: str) -> list[str]:
 
 
 def complete_effects(incomplete: str) -> list[str]:
-    """Return lists of effects, those on signals too, whose last name begins so; those before it stay, and are not offered again."""
+    """Return lists of effects, those on signals too, whose last name begins so; those before it
+    stay, and are not offered again.
+    """
     before, comma, last = incomplete.rpartition(",")
     signals = _folder("bristle.plant") / "signal_effects.py"
     known = [*complete_effect(""), *SIGNAL_EFFECT.findall(signals.read_text(encoding="utf-8"))]
@@ -43,10 +48,14 @@ def complete_effects(incomplete: str) -> list[str]:
 
 
 def complete_scenario(incomplete: str) -> list[str]:
-    """Return the scenarios that begin so, with files and folders; nothing if no scenario does: the shell then offers files."""
+    """Return the scenarios that begin so, with files and folders; nothing if no scenario does: the
+    shell then offers files.
+    """
     own = _folder("bristle.scenarios")
     if incomplete.startswith("reproduce/"):
-        return _beginning(sorted(f"reproduce/{path.stem}" for path in own.glob("reproduce/*.toml")), incomplete)
+        return _beginning(
+            sorted(f"reproduce/{path.stem}" for path in own.glob("reproduce/*.toml")), incomplete
+        )
     paths = [*own.glob("*.toml"), *_plugins("scenarios", ".toml")]
     names = _beginning(sorted(path.stem for path in paths), incomplete)
     return [*names, *_beginning(sorted(_runnable()), incomplete)] if names else []
@@ -62,11 +71,15 @@ def _runnable() -> Iterator[str]:
 
 
 def _declared(package: str, kind: str, attribute: str) -> list[str]:
-    """Return the names that the files of a catalogue declare, and those of plug-in folders and installed packages.
+    """Return the names that the files of a catalogue declare, and those of plug-in folders and
+    installed packages.
 
-    A name that is not written out in the declaration is taken to be that of the file, as it is in the package.
+    A name that is not written out in the declaration is taken to be that of the file, as it is in
+    the package.
     """
-    declaration = re.compile(rf'^{attribute}\b[^(\n]*=[^(\n]*(?:\(\s*(?:name=)?"(\w+)")?', re.MULTILINE)
+    declaration = re.compile(
+        rf'^{attribute}\b[^(\n]*=[^(\n]*(?:\(\s*(?:name=)?"(\w+)")?', re.MULTILINE
+    )
     paths = [*_folder(package).glob("*.py"), *_plugins(kind, ".py")]
     found = []
     for path in sorted(paths, key=lambda each: each.stem):
@@ -77,7 +90,9 @@ def _declared(package: str, kind: str, attribute: str) -> list[str]:
 
 
 def _plugins(kind: str, suffix: str) -> list[Path]:
-    """Return the files of plug-in folders; none if the variable is wrong, of which the command itself tells."""
+    """Return the files of plug-in folders; none if the variable is wrong, of which the command
+    itself tells.
+    """
     try:
         return plugin_files(kind, suffix)
     except BristleError:

@@ -1,6 +1,7 @@
 """The command line.
 
-Exit code 0: all verdicts pass (diagnose, validate: it completed), 1: one failed, 2: an error, reported in one line.
+Exit code 0: all verdicts pass (diagnose, validate: it completed), 1: one failed, 2: an error,
+reported in one line.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ import signal
 import sys
 from collections.abc import Callable
 
-OPTIONS_OF_LIBRARIES = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}  # more do not pay on small matrices
+# more do not pay on small matrices
+OPTIONS_OF_LIBRARIES = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
 
 
 def main() -> None:
@@ -24,16 +26,25 @@ def main() -> None:
 
     import bristle.cli.commands  # noqa: F401  # the application then has them
     from bristle.cli.app import ERROR, FAIL, PASS, app
-    from bristle.cli.terminal import Interrupted, complain, interrupt, show_log, show_unraisable, show_warning
+    from bristle.cli.terminal import (
+        Interrupted,
+        complain,
+        interrupt,
+        show_log,
+        show_unraisable,
+        show_warning,
+    )
 
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home folder that it cannot write is no matter of ours
+    # a home folder that it cannot write is no matter of ours
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     warnings.showwarning, sys.unraisablehook = show_warning, show_unraisable
     show_log()
     try:
         _on_signals(interrupt)
         code = app(standalone_mode=False)
         sys.stdout.flush()  # while an error of it can be said
-    except (BrokenPipeError, SystemExit) as end:  # the latter is how the option parser ends, too, when nobody reads
+    # the latter is how the option parser ends, too, when nobody reads
+    except (BrokenPipeError, SystemExit) as end:
         if isinstance(end, SystemExit) and end.code != FAIL:
             raise
         with open(os.devnull, "w") as nowhere:
@@ -49,7 +60,9 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Let streams that were closed (`>&-`) lead nowhere, so that no file that is opened later takes their place."""
+    """Let streams that were closed (`>&-`) lead nowhere, so that no file that is opened later takes
+    their place.
+    """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             nowhere = os.open(os.devnull, os.O_RDWR)
@@ -60,13 +73,17 @@ def _open_streams() -> None:
 
 
 def _on_signals(handler: Callable[[int, object], None] | signal.Handlers) -> None:
-    """Set what Ctrl-C and SIGTERM do: at the end nothing, so that what is under way at the end of the process is done."""
+    """Set what Ctrl-C and SIGTERM do: at the end nothing, so that what is under way at the end of
+    the process is done.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
 
 
 def _leave(_number: int, _frame: object) -> None:
-    """Leave at once: nothing is begun yet, and an exception in the middle of imports may be printed by others."""
+    """Leave at once: nothing is begun yet, and an exception in the middle of imports may be printed
+    by others.
+    """
     os.write(2, b"bristle: interrupted\n")
     os._exit(2)
 

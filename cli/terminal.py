@@ -1,4 +1,6 @@
-"""What all commands say on the terminal: errors in one line, progress; and how they are interrupted."""
+"""What all commands say on the terminal: errors in one line, progress; and how they are
+interrupted.
+"""
 
 from __future__ import annotations
 
@@ -26,18 +28,26 @@ if TYPE_CHECKING:
 DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
 SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
 LEAST_TOLD = logging.INFO  # level of what the library logs from which it is printed
-LONGEST_WORD, CUT_WORD = 300, 60  # characters that a word of a message may have, and what is kept of a longer one
+# characters that a word of a message may have, and what is kept of a longer one
+LONGEST_WORD, CUT_WORD = 300, 60
 LEAST_ROOM = 1 << 20  # bytes; a folder for temporary files with less is taken for what was full
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 
 class Interrupted(BaseException):
-    """Ctrl-C or SIGTERM; not a KeyboardInterrupt, which the option parser would turn into its own exit code."""
+    """Ctrl-C or SIGTERM; not a KeyboardInterrupt, which the option parser would turn into its own
+    exit code.
+    """
 
 
 def say(line: str) -> None:
-    """Print one line, whatever it holds, to the error output; a word in it that is longer than `LONGEST_WORD` is cut."""
-    words = (word if len(word) <= LONGEST_WORD else f"{word[:CUT_WORD]}... ({len(word)} characters)" for word in line.split())
+    """Print one line, whatever it holds, to the error output; a word in it that is longer than
+    `LONGEST_WORD` is cut.
+    """
+    words = (
+        word if len(word) <= LONGEST_WORD else f"{word[:CUT_WORD]}... ({len(word)} characters)"
+        for word in line.split()
+    )
     print(" ".join(words), file=sys.stderr, flush=True)
 
 
@@ -83,7 +93,13 @@ def _bar() -> Iterator[Progress | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.fields[name]}"),
@@ -148,28 +164,45 @@ def interrupt(number: int, _frame: object) -> None:
 
 
 def check_interrupt() -> None:
-    """Raise an interrupt again that came in a finaliser or a callback from C, where Python drops exceptions."""
+    """Raise an interrupt again that came in a finaliser or a callback from C, where Python drops
+    exceptions.
+    """
     if _interrupts:
         raise Interrupted(_interrupts[0])
 
 
 def show_unraisable(unraisable: Any) -> None:
-    """Print an exception that Python drops as it does, but not an interrupt, which `check_interrupt` raises again."""
+    """Print an exception that Python drops as it does, but not an interrupt, which
+    `check_interrupt` raises again.
+    """
     if not isinstance(unraisable.exc_value, Interrupted):
         sys.__unraisablehook__(unraisable)
 
 
 def show_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: object = None, line: str | None = None
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: object = None,
+    line: str | None = None,
 ) -> None:
     """Print in one line what is deprecated; of other warnings also where they come from."""
-    say(f"bristle: {message}" if issubclass(category, FutureWarning) else f"{filename}:{lineno}: {category.__name__}: {message}")
+    say(
+        f"bristle: {message}"
+        if issubclass(category, FutureWarning)
+        else f"{filename}:{lineno}: {category.__name__}: {message}"
+    )
 
 
 def _of_the_system(error: OSError) -> str:
-    """Return an error of the system as one line: of the file it names, of temporary files, or of the standard output."""
+    """Return an error of the system as one line: of the file it names, of temporary files, or of
+    the standard output.
+    """
     file, place = error.filename2 or error.filename, tempfile.gettempdir()
-    if (full := no_room(error)) and (shutil.disk_usage(place).free < LEAST_ROOM if file is None else str(file).startswith(place)):
+    if (full := no_room(error)) and (
+        shutil.disk_usage(place).free < LEAST_ROOM if file is None else str(file).startswith(place)
+    ):
         return str(full)
     if file is None:
         return f"standard output: {error.strerror or error}; give it another place"
@@ -177,7 +210,10 @@ def _of_the_system(error: OSError) -> str:
 
 
 def _names() -> list[str]:
-    return [command.name or str(getattr(command.callback, "__name__", "")) for command in app.registered_commands]
+    return [
+        command.name or str(getattr(command.callback, "__name__", ""))
+        for command in app.registered_commands
+    ]
 
 
 def explain(error: BaseException) -> str:
@@ -198,7 +234,15 @@ def explain(error: BaseException) -> str:
         error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]  # of click, by its name
     if usage is not None:
         context = getattr(error, "ctx", None)
-        command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"
-        said = DID_YOU_MEAN.sub(r" (did you mean \1)", usage().replace("Value error, ", "").rstrip("."))
+        command = (
+            "bristle"
+            if context is None or context.parent is None
+            else f"bristle {context.info_name}"
+        )
+        said = DID_YOU_MEAN.sub(
+            r" (did you mean \1)", usage().replace("Value error, ", "").rstrip(".")
+        )
         return f"bristle: {said}; see {command} --help"
-    return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
+    return (
+        f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
+    )

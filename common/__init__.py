@@ -1,3 +1,5 @@
-"""Used by all packages: errors, units, tables of files, TOML, output folders, HTML, drawing, cache."""
+"""Used by all packages: errors, units, tables of files, TOML, output folders, HTML, drawing,
+cache.
+"""
 
 __all__: list[str] = []

@@ -1,4 +1,6 @@
-"""Checks of the arguments of public functions: each returns the value, or raises one line that names the argument."""
+"""Checks of the arguments of public functions: each returns the value, or raises one line that
+names the argument.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,11 @@ T = TypeVar("T")
 
 def _shown(given: object) -> str:
     """Return a value as an error shows it, in short: of what is no plain value its type."""
-    return repr(given) if given is None or isinstance(given, (str, int, float)) else f"a {type(given).__name__}"
+    return (
+        repr(given)
+        if given is None or isinstance(given, (str, int, float))
+        else f"a {type(given).__name__}"
+    )
 
 
 def as_path(name: str, given: object) -> Path:
@@ -27,14 +33,16 @@ def as_path(name: str, given: object) -> Path:
 def filled_path(text: str | Path) -> Path:
     """Return the path that an option of a command gives.
 
-    Empty text is refused: it comes from a variable of the shell that is not set, and would be the current folder. So is "-", which
-    elsewhere stands for the standard input or output, and would be a file of this name.
+    Empty text is refused: it comes from a variable of the shell that is not set, and would be the
+    current folder. So is "-", which elsewhere stands for the standard input or output, and would be
+    a file of this name.
     """
     if not str(text):
         raise BristleError("it is empty; give a path")
     if text == "-":
         raise BristleError(
-            "- is no path; give that of a file, such as /dev/stdout for the standard output, or ./- for one called -"
+            "- is no path; give that of a file, such as /dev/stdout for the standard output, or ./-"
+            " for one called -"
         )
     return Path(text)
 

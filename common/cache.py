@@ -12,17 +12,22 @@ from pathlib import Path
 from bristle.common.errors import BristleError
 from bristle.common.work import sweep_once, work_folder
 
-_seen: set[tuple[str, int, int, int]] = set()  # files that were compared with their hash: path, size, time, place
+# files that were compared with their hash: path, size, time, place
+_seen: set[tuple[str, int, int, int]] = set()
 
 
 def cache_folder() -> Path:
-    """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created if missing."""
+    """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created if
+    missing.
+    """
     if given := os.environ.get("BRISTLE_CACHE"):
         return _usable(Path(given))
     try:
         return _usable(_usual_place())
     except RuntimeError:
-        raise BristleError("there is no home folder for the cache; set BRISTLE_CACHE to a folder you can write") from None
+        raise BristleError(
+            "there is no home folder for the cache; set BRISTLE_CACHE to a folder you can write"
+        ) from None
 
 
 def _usual_place() -> Path:
@@ -46,8 +51,12 @@ def _usable(folder: Path) -> Path:
 def _unusable(folder: Path, error: OSError) -> BristleError:
     elsewhere = error.filename and not Path(str(error.filename)).is_relative_to(folder)
     if elsewhere:  # what a cached file is made from, or a tool that makes it
-        return BristleError(f"{error.filename}: {error.strerror}; needed for a file of the cache {folder}")
-    return BristleError(f"cache folder {folder}: {error.strerror}; set BRISTLE_CACHE to a folder you can write")
+        return BristleError(
+            f"{error.filename}: {error.strerror}; needed for a file of the cache {folder}"
+        )
+    return BristleError(
+        f"cache folder {folder}: {error.strerror}; set BRISTLE_CACHE to a folder you can write"
+    )
 
 
 def digest(*parts: str | bytes) -> str:
@@ -60,10 +69,12 @@ def digest(*parts: str | bytes) -> str:
 
 
 def cached(name: str, make: Callable[[Path], None]) -> Path:
-    """Return the cached file `name`, made by `make(path)` if it is missing, or damaged since it was made.
+    """Return the cached file `name`, made by `make(path)` if it is missing, or damaged since it was
+    made.
 
-    Other processes see a complete file or none; of those that miss the same file at once, one makes it and the others wait. A file
-    is compared with its hash when this process uses it first: a library of which some bytes are wrong would kill it.
+    Other processes see a complete file or none; of those that miss the same file at once, one makes
+    it and the others wait. A file is compared with its hash when this process uses it first: a
+    library of which some bytes are wrong would kill it.
     """
     target = cache_folder() / name
     sweep_once(target.parent)
@@ -78,7 +89,8 @@ def cached(name: str, make: Callable[[Path], None]) -> Path:
 
 
 def _alone(target: Path) -> AbstractContextManager[object]:
-    from filelock import FileLock  # only if something is missing: a run from the cache starts sooner
+    # only if something is missing: a run from the cache starts sooner
+    from filelock import FileLock
 
     folder = target.parent / ".locks"
     folder.mkdir(exist_ok=True)
@@ -86,7 +98,9 @@ def _alone(target: Path) -> AbstractContextManager[object]:
 
 
 def _make(target: Path, make: Callable[[Path], None]) -> None:
-    """Make a file with its hash beside it; a crash between both leaves a file that does not match, and is made again."""
+    """Make a file with its hash beside it; a crash between both leaves a file that does not match,
+    and is made again.
+    """
     with work_folder(target.parent) as folder:
         fresh, digest_of = folder / target.name, folder / "sum"
         make(fresh)

@@ -1,4 +1,6 @@
-"""Timestamps written as text: ISO 8601, day.month.year, times of the day, and durations such as ``0.5 sec``, in seconds."""
+"""Timestamps written as text: ISO 8601, day.month.year, times of the day, and durations such as
+``0.5 sec``, in seconds.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ def is_stamp(text: str) -> bool:
 
 
 def seconds(texts: Sequence[str]) -> Array | None:
-    """Return timestamps in s, shape (n,): since 1970 with a date, else since midnight of the first one's day.
+    """Return timestamps in s, shape (n,): since 1970 with a date, else since midnight of the first
+    one's day.
 
     Empty texts are NaN; None if a text is no timestamp or has no valid date.
     """

@@ -1,4 +1,6 @@
-"""Columns of numbers by name, as all readers of files return them, and how many of them a file may hold."""
+"""Columns of numbers by name, as all readers of files return them, and how many of them a file may
+hold.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,19 @@ from bristle.common.errors import BristleError
 
 Array = NDArray[np.float64]
 
-LARGEST_CONTENT = 2**29  # bytes: a file that holds more, unpacked, is refused before it fills the memory
+# bytes: a file that holds more, unpacked, is refused before it fills the memory
+LARGEST_CONTENT = 2**29
 MOST_COLUMNS = 2000  # columns: a file with more is no log of a servo
 MATRIX_RATIO = 10  # least ratio of length and width from which on a matrix is a table of columns
-KINDS = {"U": "text", "S": "text", "c": "complex numbers", "M": "timestamps", "m": "durations", "V": "a struct", "b": "booleans"}
+KINDS = {
+    "U": "text",
+    "S": "text",
+    "c": "complex numbers",
+    "M": "timestamps",
+    "m": "durations",
+    "V": "a struct",
+    "b": "booleans",
+}
 
 
 class Columns(dict[str, Array]):
@@ -53,16 +64,21 @@ class Columns(dict[str, Array]):
 def must_fit(path: Path, size: float, width: int = 0) -> None:
     """Refuse a file that holds more bytes, unpacked, or more columns than can be read."""
     if width > MOST_COLUMNS:
-        raise BristleError(f"record {path}: has {width} columns, allowed {MOST_COLUMNS}; leave out those that are not needed")
+        raise BristleError(
+            f"record {path}: has {width} columns, allowed {MOST_COLUMNS}; leave out those that are"
+            " not needed"
+        )
     if size > LARGEST_CONTENT:
         raise BristleError(
-            f"record {path}: holds {size / 2**20:.0f} MiB unpacked, allowed {LARGEST_CONTENT / 2**20:.0f}; "
-            "cut the record or leave out columns"
+            f"record {path}: holds {size / 2**20:.0f} MiB unpacked, allowed"
+            f" {LARGEST_CONTENT / 2**20:.0f}; cut the record or leave out columns"
         )
 
 
 def columns_of(path: Path, found: Mapping[str, object], index: str = "[:, {}]") -> Columns:
-    """Return the vectors among named arrays, and the columns of each matrix that is a table, named by `index`."""
+    """Return the vectors among named arrays, and the columns of each matrix that is a table, named
+    by `index`.
+    """
     arrays = {name: np.asarray(value) for name, value in found.items()}
     must_fit(path, 8 * sum(math.prod(a.shape) for a in arrays.values() if a.dtype.kind in "fiuM"))
     first = 1 if "(" in index else 0
@@ -73,23 +89,35 @@ def columns_of(path: Path, found: Mapping[str, object], index: str = "[:, {}]") 
         if why := _no_numbers(array):
             unusable[name] = why
         elif array.size == max(array.shape, default=0):
-            vectors[name] = in_seconds(array.ravel()) if array.dtype.kind == "M" else array.ravel().astype(float)
+            vectors[name] = (
+                in_seconds(array.ravel())
+                if array.dtype.kind == "M"
+                else array.ravel().astype(float)
+            )
             clocks += [name] if array.dtype.kind == "M" else []
         else:
             table = array if array.shape[0] > array.shape[1] else array.T
             for k in range(table.shape[1]):
-                vectors[name + index.format(first + k)] = np.ascontiguousarray(table[:, k], dtype=float)
+                vectors[name + index.format(first + k)] = np.ascontiguousarray(
+                    table[:, k], dtype=float
+                )
     must_fit(path, 0, len(vectors) + len(unusable))
     return Columns(vectors, unusable, clocks=clocks)
 
 
 def _no_numbers(array: NDArray[np.generic]) -> str:
-    """Return what an array holds if it cannot serve as one column or several; an empty text if it can."""
+    """Return what an array holds if it cannot serve as one column or several; an empty text if it
+    can.
+    """
     if array.dtype.kind not in "fiuM":
         return KINDS.get(array.dtype.kind, "objects")
     if array.size == max(array.shape, default=0):
         return ""
-    narrow = array.ndim == 2 and max(array.shape) >= MATRIX_RATIO * min(array.shape) > 0 and array.dtype.kind != "M"
+    narrow = (
+        array.ndim == 2
+        and max(array.shape) >= MATRIX_RATIO * min(array.shape) > 0
+        and array.dtype.kind != "M"
+    )
     return "" if narrow else f"an array of shape {array.shape}"
 
 

@@ -20,7 +20,8 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 HDF5_OFFSETS = (0, 512)  # bytes: where it stands; before it, MATLAB writes a line of text
 MATLAB_NUMBERS = ("double", "single", "int", "uint")  # begin of the classes of numbers
 NPY_MAGIC = b"\x93NUMPY"
-MAT_HEADER, MAT_COMPRESSED = 128, 15  # bytes before the first element of a MAT file; type of a compressed element
+# bytes before the first element of a MAT file; type of a compressed element
+MAT_HEADER, MAT_COMPRESSED = 128, 15
 MAT_ORDERS: dict[Literal["little", "big"], bytes] = {
     "little": b"\x00\x01IM",
     "big": b"\x01\x00MI",
@@ -28,7 +29,7 @@ MAT_ORDERS: dict[Literal["little", "big"], bytes] = {
 UNPACKED_CHUNK = 2**20  # bytes unpacked at a time
 
 
-# -- MAT and HDF5 --------------------------------------------------------------------------------------------------------
+# -- MAT and HDF5 ----------------------------------------------------------------------------------
 def read_mat(path: Path) -> Columns:
     """Return the vectors of a MAT file, those of structs as ``struct.field``."""
     from scipy.io import loadmat
@@ -39,7 +40,9 @@ def read_mat(path: Path) -> Columns:
         must_fit(path, _unpacked_size(stream))
         stream.seek(0)
         found = loadmat(stream, simplify_cells=True)
-    return columns_of(path, dict(_flat({k: v for k, v in found.items() if not k.startswith("__")})), "(:,{})")
+    return columns_of(
+        path, dict(_flat({k: v for k, v in found.items() if not k.startswith("__")})), "(:,{})"
+    )
 
 
 def _is_hdf5(stream: BinaryIO) -> bool:
@@ -51,7 +54,9 @@ def _is_hdf5(stream: BinaryIO) -> bool:
 
 
 def _unpacked_size(stream: BinaryIO) -> int:
-    """Return how many bytes the elements of a MAT file hold, as far as the limit: each is unpacked once and not kept."""
+    """Return how many bytes the elements of a MAT file hold, as far as the limit: each is unpacked
+    once and not kept.
+    """
     stream.seek(MAT_HEADER - len(MAT_ORDERS["little"]))
     mark = stream.read(len(MAT_ORDERS["little"]))
     order = next((order for order, written in MAT_ORDERS.items() if written == mark), None)
@@ -72,15 +77,25 @@ def _unpacked_size(stream: BinaryIO) -> int:
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Give what a tree of structs holds; the elements of an array of structs have their label, or are numbered from 1."""
+    """Give what a tree of structs holds; the elements of an array of structs have their label, or
+    are numbered from 1.
+    """
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        elements = list(value.flat) if isinstance(value, np.ndarray) and value.dtype == object else value
+        elements = (
+            list(value.flat) if isinstance(value, np.ndarray) and value.dtype == object else value
+        )
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
-        elif isinstance(elements, list) and elements and all(isinstance(each, Mapping) for each in elements):
+        elif (
+            isinstance(elements, list)
+            and elements
+            and all(isinstance(each, Mapping) for each in elements)
+        ):
             labels = [each.get("label") for each in elements]
-            distinct = all(isinstance(label, str) and label for label in labels) and len(set(labels)) == len(labels)
+            distinct = all(isinstance(label, str) and label for label in labels) and len(
+                set(labels)
+            ) == len(labels)
             for number, (each, label) in enumerate(zip(elements, labels, strict=True), start=1):
                 yield from _flat(each, f"{name}.{label}." if distinct else f"{name}({number}).")
         else:
@@ -88,7 +103,9 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def read_hdf5(path: Path) -> Columns:
-    """Return the vectors of an HDF5 file, which a MAT file of version 7.3 is; those of groups as ``group.name``."""
+    """Return the vectors of an HDF5 file, which a MAT file of version 7.3 is; those of groups as
+    ``group.name``.
+    """
     import h5py
 
     found: dict[str, Any] = {}
@@ -116,7 +133,7 @@ def read_hdf5(path: Path) -> Columns:
     return columns
 
 
-# -- NumPy ---------------------------------------------------------------------------------------------------------------
+# -- NumPy -----------------------------------------------------------------------------------------
 def read_npz(path: Path) -> Columns:
     """Return the vectors of an NPZ archive."""
     with path.open("rb") as stream:
@@ -145,7 +162,7 @@ def _zip_size(stream: BinaryIO) -> tuple[int, int]:
     return sum(each.file_size for each in files), len(files)
 
 
-# -- Parquet and spreadsheets --------------------------------------------------------------------------------------------
+# -- Parquet and spreadsheets ----------------------------------------------------------------------
 def read_parquet(path: Path) -> Columns:
     """Return the columns of numbers and timestamps of a Parquet file."""
     try:
@@ -153,20 +170,29 @@ def read_parquet(path: Path) -> Columns:
         import pyarrow.parquet as pq
     except ImportError:
         raise BristleError(
-            f"record {path}: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV"
+            f"record {path}: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it"
+            " as CSV"
         ) from None
 
     with path.open("rb") as stream:
         file = pq.ParquetFile(stream)
         schema = file.schema_arrow
         clocks = [field.name for field in schema if pa.types.is_timestamp(field.type)]
-        numeric = [field.name for field in schema if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
+        numeric = [
+            field.name
+            for field in schema
+            if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
+        ]
         chosen = [*numeric, *clocks]
         must_fit(path, 8 * file.metadata.num_rows * len(chosen), len(schema))
         table = file.read(columns=chosen)
     other = {field.name: f"{field.type} values" for field in schema if field.name not in chosen}
     columns = {name: table[name].to_numpy().astype(float) for name in numeric}
-    return Columns(columns | {name: in_seconds(table[name].to_numpy()) for name in clocks}, other, clocks=clocks)
+    return Columns(
+        columns | {name: in_seconds(table[name].to_numpy()) for name in clocks},
+        other,
+        clocks=clocks,
+    )
 
 
 def read_xlsx(path: Path) -> Columns:
@@ -186,7 +212,10 @@ def read_xlsx(path: Path) -> Columns:
                     return read_rows(path, rows)
         finally:
             book.close()
-    raise BristleError(f"record {path}: no sheet holds a table; write the column names in the first line and numbers below")
+    raise BristleError(
+        f"record {path}: no sheet holds a table; write the column names in the first line and"
+        " numbers below"
+    )
 
 
 def _rows(path: Path, sheet: Any) -> Iterator[list[str]]:

@@ -20,7 +20,9 @@ class OutOfTime(BaseException):
 
 @contextmanager
 def until(deadline: float) -> Iterator[None]:
-    """Let no simulation begin after a time [s, of `time.perf_counter`], or after that of an enclosing block if it is earlier."""
+    """Let no simulation begin after a time [s, of `time.perf_counter`], or after that of an
+    enclosing block if it is earlier.
+    """
     token = _DEADLINE.set(min(deadline, _DEADLINE.get()))
     try:
         yield

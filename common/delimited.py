@@ -1,4 +1,6 @@
-"""Tables of text: CSV, tab-separated and aligned columns as loggers, spreadsheets and oscilloscopes write them."""
+"""Tables of text: CSV, tab-separated and aligned columns as loggers, spreadsheets and oscilloscopes
+write them.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,27 @@ from bristle.common.columns import Array, Columns, must_fit
 from bristle.common.errors import BristleError
 from bristle.common.unit_names import unit_symbol
 
-SNIFFED_LINES = 500  # lines: from the first ones the separator, the header and the columns of numbers are found
+# lines: from the first ones the separator, the header and the columns of numbers are found
+SNIFFED_LINES = 500
 SEPARATORS = ("\t", ";", ",", "")  # between columns; the empty one stands for spaces
 REMARK = "#%"  # a line of the header or above may begin with these
-BLANKS = frozenset({"", "-", "--", "---", "nan", "na", "n/a", "#n/a", "#nv", "null", "none"})  # fields without a value
+# fields without a value
+BLANKS = frozenset({"", "-", "--", "---", "nan", "na", "n/a", "#n/a", "#nv", "null", "none"})
 SHOWN_FIELD = 30  # letters of a field that an error shows at most
 
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?$")
 _BRACKETED = re.compile(r"[\[(].*[\])]$")
-_CLOCK_FORMAT = re.compile(r"(?=.*h)(?=.*m)[ymdhsfzt:.,/ -]+$", re.IGNORECASE)  # of a time, in a row of units: hh:mm:ss.fff
+# of a time, in a row of units: hh:mm:ss.fff
+_CLOCK_FORMAT = re.compile(r"(?=.*h)(?=.*m)[ymdhsfzt:.,/ -]+$", re.IGNORECASE)
 _WORD_WITH_UNIT = re.compile(r"\S+(?:\s?\[[^\]]*\]|\s?\([^)]*\))?")
 Rows = Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
 class _Heading:
-    """What stands above the numbers: names and units of the columns, the index of the first row of numbers."""
+    """What stands above the numbers: names and units of the columns, the index of the first row of
+    numbers.
+    """
 
     names: list[str]
     units: dict[str, str]
@@ -44,27 +51,38 @@ def read_delimited(path: Path) -> Columns:
     must_fit(path, path.stat().st_size)
     lines = _text(path).splitlines()
     if not any(map(str.strip, lines)):
-        raise BristleError(f"record {path}: is empty; write the column names in the first line and numbers below")
+        raise BristleError(
+            f"record {path}: is empty; write the column names in the first line and numbers below"
+        )
     sample = lines[:SNIFFED_LINES]
     mark = _separator(sample)
     split = list(_split(sample, mark))
     must_fit(path, 0, max(map(len, split)))
     heading = _heading(path, split, mark, sample)
-    comma = mark != "," and any(_COMMA.match(field.strip()) for row in split[heading.first :] for field in row)
+    comma = mark != "," and any(
+        _COMMA.match(field.strip()) for row in split[heading.first :] for field in row
+    )
     table = _fast(lines[heading.first :], mark, comma)
     if table.shape[1] == len(heading.names):
-        return Columns({name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(heading.names)}, units=heading.units)
+        return Columns(
+            {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(heading.names)},
+            units=heading.units,
+        )
     return _columns(path, list(_split(lines, mark)), heading)
 
 
 def read_rows(path: Path, rows: Rows) -> Columns:
-    """Return the columns of a table whose fields are separated already, as those of a spreadsheet."""
+    """Return the columns of a table whose fields are separated already, as those of a
+    spreadsheet.
+    """
     must_fit(path, 0, max(map(len, rows), default=0))
     return _columns(path, rows, _heading(path, rows[:SNIFFED_LINES], ",", []))
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file, in UTF-8, in UTF-16, or in the 8-bit code of Western spreadsheets."""
+    """Return the text of a file, in UTF-8, in UTF-16, or in the 8-bit code of Western
+    spreadsheets.
+    """
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16")
@@ -72,14 +90,16 @@ def _text(path: Path) -> str:
     if zeros > len(content[:2000]) // 4:
         return content.decode("utf-16-be" if content[0] == 0 else "utf-16-le")
     if zeros:
-        raise BristleError(f"record {path}: is no text; give it the suffix of its format, or save it as CSV")
+        raise BristleError(
+            f"record {path}: is no text; give it the suffix of its format, or save it as CSV"
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252", errors="replace")
 
 
-# -- fields --------------------------------------------------------------------------------------------------------------
+# -- fields ----------------------------------------------------------------------------------------
 def _split(lines: Sequence[str], mark: str) -> Iterator[list[str]]:
     """Give the fields of each line."""
     for line in lines:
@@ -116,14 +136,21 @@ def _blank(text: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator that makes most fields of the last lines numbers, in more than one column."""
+    """Return the separator that makes most fields of the last lines numbers, in more than one
+    column.
+    """
     filled = [line for line in lines if line.strip()]
     best, most = ",", 0.0
     for mark in SEPARATORS:
         rows = list(_split(filled[len(filled) // 2 :], mark))
         width = _width(rows)
         fields = [field for row in rows if len(row) == width for field in row if field.strip()]
-        share = sum(map(_usable, fields)) / max(len(fields), 1) * sum(len(row) == width for row in rows) / len(rows)
+        share = (
+            sum(map(_usable, fields))
+            / max(len(fields), 1)
+            * sum(len(row) == width for row in rows)
+            / len(rows)
+        )
         if width > 1 and share > most:
             best, most = mark, share
     return best
@@ -134,35 +161,52 @@ def _width(rows: Rows) -> int:
     return Counter(len(row) for row in rows).most_common(1)[0][0] if rows else 0
 
 
-# -- header --------------------------------------------------------------------------------------------------------------
+# -- header ----------------------------------------------------------------------------------------
 def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Heading:
-    """Find the names of the columns, the row of units below them, if any, and the first row of numbers."""
+    """Find the names of the columns, the row of units below them, if any, and the first row of
+    numbers.
+    """
     filled = [k for k, row in enumerate(rows) if any(field.strip() for field in row)]
     below = [rows[k] for k in filled[len(filled) // 2 :]]
     width = _width(below)
-    usable = [[_usable(row[j]) for row in below if len(row) == width and not _blank(row[j])] for j in range(width)]
+    usable = [
+        [_usable(row[j]) for row in below if len(row) == width and not _blank(row[j])]
+        for j in range(width)
+    ]
     numeric = [j for j, found in enumerate(usable) if found and 2 * sum(found) >= len(found)]
     first = next((k for k in filled if numeric and _is_data(rows[k], width, numeric)), None)
     if first is None:
-        raise BristleError(f"record {path}: no data below the line of column names; write numbers there")
+        raise BristleError(
+            f"record {path}: no data below the line of column names; write numbers there"
+        )
     above = [k for k in filled if k < first]
     header, units = _fields(rows, above[-1], mark, lines, width) if above else [], []
-    if len(header) < min(width, 2) or (len(header) != width and rows[above[-1]][0].startswith(tuple(REMARK))):
+    if len(header) < min(width, 2) or (
+        len(header) != width and rows[above[-1]][0].startswith(tuple(REMARK))
+    ):
         header = [""] * width  # at most a title
     if len(above) > 1 and _is_units(header):
         named = _fields(rows, above[-2], mark, lines, width)
         if len(named) >= len(header) and not _is_units(named):
             header, units = named, header
-    spare = all(not row[-1].strip() for row in below if len(row) == width)  # a separator at the end of each line
+    # a separator at the end of each line
+    spare = all(not row[-1].strip() for row in below if len(row) == width)
     if above and not spare and len(rows[above[-1]]) == width:  # the last columns have no name
         header = [*header, *[""] * (width - len(header))]
     if len(header) != width and not (len(header) == width - 1 and spare):
         line = first + 1
-        raise BristleError(f"record {path}: line {line} has {width} values, the header {len(header)}; correct that line")
+        raise BristleError(
+            f"record {path}: line {line} has {width} values, the header {len(header)}; correct that"
+            " line"
+        )
     names = [name or f"column {k}" for k, name in enumerate(header, start=1)]
     if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise BristleError(f"record {path}: column '{twice[0]}' is there twice; give each column its own name")
-    return _Heading(names, {name: unit for name, unit in zip(names, units, strict=False) if unit}, first)
+        raise BristleError(
+            f"record {path}: column '{twice[0]}' is there twice; give each column its own name"
+        )
+    return _Heading(
+        names, {name: unit for name, unit in zip(names, units, strict=False) if unit}, first
+    )
 
 
 def _is_data(row: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
@@ -174,11 +218,17 @@ def _is_data(row: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
 
 
 def _fields(rows: Rows, k: int, mark: str, lines: Sequence[str], width: int) -> list[str]:
-    """Return the fields of a row of names or units; between spaces, a unit in brackets belongs to the name before it."""
+    """Return the fields of a row of names or units; between spaces, a unit in brackets belongs to
+    the name before it.
+    """
     row = list(rows[k])
     if not mark:
         text = lines[k].strip().lstrip(REMARK).strip()
-        splits: list[list[str]] = [re.split(r"\s{2,}|\t", text), _WORD_WITH_UNIT.findall(text), text.split()]
+        splits: list[list[str]] = [
+            re.split(r"\s{2,}|\t", text),
+            _WORD_WITH_UNIT.findall(text),
+            text.split(),
+        ]
         row = next((each for each in splits if len(each) == width), splits[-1])
     elif row:
         row[0] = row[0].lstrip(REMARK + " ")
@@ -191,12 +241,17 @@ def _fields(rows: Rows, k: int, mark: str, lines: Sequence[str], width: int) -> 
 def _is_units(row: Sequence[str]) -> bool:
     """Return whether all fields of a row are units, or in brackets as units are."""
     fields = [field for field in row if not _blank(field)]
-    return bool(fields) and all(_BRACKETED.match(field) or _CLOCK_FORMAT.match(field) or unit_symbol(field) for field in fields)
+    return bool(fields) and all(
+        _BRACKETED.match(field) or _CLOCK_FORMAT.match(field) or unit_symbol(field)
+        for field in fields
+    )
 
 
-# -- numbers -------------------------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------------------
 def _fast(lines: list[str], mark: str, comma: bool) -> Array:
-    """Return a table of nothing but numbers, read at the speed of C; of another, a table without columns."""
+    """Return a table of nothing but numbers, read at the speed of C; of another, a table without
+    columns.
+    """
     if comma:
         lines = [line.replace(",", ".") for line in lines]
     try:
@@ -210,7 +265,9 @@ def _fast(lines: list[str], mark: str, comma: bool) -> Array:
 def _columns(path: Path, rows: Rows, heading: _Heading) -> Columns:
     """Read field by field: slower, but fields may be blank, and what holds no numbers is named."""
     width, found, findings = len(heading.names), [], []
-    numbers = [k for k in range(heading.first, len(rows)) if any(field.strip() for field in rows[k])]
+    numbers = [
+        k for k in range(heading.first, len(rows)) if any(field.strip() for field in rows[k])
+    ]
     for k in numbers:
         row = rows[k]
         surplus = len(row) - width
@@ -220,17 +277,28 @@ def _columns(path: Path, rows: Rows, heading: _Heading) -> Columns:
             findings.append(f"the last line has {len(row)} of {width} values; left out")
             break
         elif surplus:
-            raise BristleError(f"record {path}: line {k + 1} has {len(row)} values, the header {width}; correct that line")
+            raise BristleError(
+                f"record {path}: line {k + 1} has {len(row)} values, the header {width}; correct"
+                " that line"
+            )
         found.append(row)
     columns, unusable, clocks = {}, {}, []
     for j, name in enumerate(heading.names):
         fields = [row[j] for row in found]
         values = _numbers(fields)
-        if values is None and (values := seconds(["" if _blank(field) else field for field in fields])) is not None:
+        if (
+            values is None
+            and (values := seconds(["" if _blank(field) else field for field in fields]))
+            is not None
+        ):
             clocks.append(name)
         if values is None:
-            bad = next((k for k, field in enumerate(fields) if not _blank(field) and not _usable(field)), 0)
-            unusable[name] = f"text ('{fields[bad].strip()[:SHOWN_FIELD]}' in line {numbers[bad] + 1})"
+            bad = next(
+                (k for k, field in enumerate(fields) if not _blank(field) and not _usable(field)), 0
+            )
+            unusable[name] = (
+                f"text ('{fields[bad].strip()[:SHOWN_FIELD]}' in line {numbers[bad] + 1})"
+            )
         else:
             columns[name] = values
     return Columns(columns, unusable, units=heading.units, clocks=clocks, findings=findings)

@@ -19,8 +19,9 @@
     ├── Interrupted                bristle.cli.terminal: Ctrl-C or SIGTERM
     └── OutOfTime                  bristle.common.deadline: work under a time budget is left where it is
 
-`except BristleError` catches whatever the library reports. CoreError and RefusedError are raised inside an FMU, where the
-library is not installed: their modules are copied into it, and the importing tool turns them into an FMI error.
+`except BristleError` catches whatever the library reports. CoreError and RefusedError are raised
+inside an FMU, where the library is not installed: their modules are copied into it, and the
+importing tool turns them into an FMI error.
 """
 
 from __future__ import annotations
@@ -28,15 +29,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest"]
+__all__ = [
+    "BristleError",
+    "EquationError",
+    "IncompleteError",
+    "NotStaticError",
+    "RestartError",
+    "SimulationError",
+    "suggest",
+]
 
 
 class BristleError(ValueError):
-    """A mistake in what the user gave: one line that says what, where, what is allowed and what to do."""
+    """A mistake in what the user gave: one line that says what, where, what is allowed and what to
+    do.
+    """
 
 
 class SimulationError(BristleError, ArithmeticError):
-    """A simulation that cannot go on: a state left the finite numbers or the internal-step cap was hit.
+    """A simulation that cannot go on: a state left the finite numbers or the internal-step cap was
+    hit.
 
     Attributes
     ----------

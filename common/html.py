@@ -12,7 +12,8 @@ from urllib.parse import quote
 from bristle.common.drawing import Drawing
 
 CARD_COLUMNS = 6  # of a table that is too wide for a narrow screen
-URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"  # characters that may stand unescaped in an address inside quotes
+# characters that may stand unescaped in an address inside quotes
+URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"
 
 
 def number(value: object, digits: int = 4) -> str:
@@ -39,21 +40,32 @@ def written_unit(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Return an identifier as HTML text that may break after dots, underscores and = where the page is narrow, not in a number."""
+    """Return an identifier as HTML text that may break after dots, underscores and = where the page
+    is narrow, not in a number.
+    """
     return re.sub(r"(?<=[._=])(?!(?<=\d\.)\d)(?=.)", "<wbr>", escape(text))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
-    """Return an HTML table; columns in `numeric` are right-aligned. On a narrow screen one of many columns becomes cards."""
+    """Return an HTML table; columns in `numeric` are right-aligned. On a narrow screen one of many
+    columns becomes cards.
+    """
     cards = len(head) >= CARD_COLUMNS
     names = [re.sub(r"<[^>]*>", "", text) for text in head]
 
     def cell(tag: str, index: int, text: str) -> str:
         right = ' class="n"' if index in numeric else ""
-        name = f' data-name="{names[index]}"' if cards and tag == "td" and index and names[index] else ""
+        name = (
+            f' data-name="{names[index]}"'
+            if cards and tag == "td" and index and names[index]
+            else ""
+        )
         return f"<{tag}{right}{name}>{text}</{tag}>"
 
-    body = "".join("<tr>" + "".join(cell("td", i, text) for i, text in enumerate(row)) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>" + "".join(cell("td", i, text) for i, text in enumerate(row)) + "</tr>"
+        for row in rows
+    )
     return (
         ('<table class="cards">' if cards else "<table>")
         + "<thead><tr>"
@@ -68,7 +80,9 @@ def badge(kind: str, text: str) -> str:
 
 
 def tally(passed: int, total: int, what: str) -> str:
-    """Return how many of `total` hold as a coloured word, for the top of a page: 14 of 14 checks."""
+    """Return how many of `total` hold as a coloured word, for the top of a page: 14 of 14
+    checks.
+    """
     return badge("good" if passed == total > 0 else "bad", f"{passed} of {total} {what}")
 
 
@@ -81,8 +95,9 @@ def beside(names: Iterable[str]) -> str:
 def figure(title: str, svg: str, caption: str) -> str:
     """Return a figure: an image of its own, so that the ids inside several of them cannot clash.
 
-    A `Drawing` brings its own text for those who cannot see it, without it the title is the text; and one with the data of its
-    time axes becomes a plot to zoom into, while the image stays for print and for browsers without scripts.
+    A `Drawing` brings its own text for those who cannot see it, without it the title is the text;
+    and one with the data of its time axes becomes a plot to zoom into, while the image stays for
+    print and for browsers without scripts.
     """
     data = quote(" ".join(svg.split()), safe=URL_SAFE)
     plot, seen = (svg.plot, svg.seen) if isinstance(svg, Drawing) else ("", "")
@@ -94,7 +109,9 @@ def figure(title: str, svg: str, caption: str) -> str:
 
 
 def _anchored(body: str) -> str:
-    """Give each heading an address of its own and a link to it, so that people can send each other to it."""
+    """Give each heading an address of its own and a link to it, so that people can send each other
+    to it.
+    """
     taken = set(re.findall(r' id="([^"]*)"', body))
 
     def link(match: re.Match[str]) -> str:
@@ -108,13 +125,18 @@ def _anchored(body: str) -> str:
                 count += 1
                 name = f"{stem}-{count}"
             taken.add(name)
-        return f'<h2 id="{name}">{text} <a class="anchor" href="#{name}" aria-label="link to this section"></a></h2>'
+        return (
+            f'<h2 id="{name}">{text} <a class="anchor" href="#{name}" aria-label="link to this'
+            ' section"></a></h2>'
+        )
 
     return re.sub(r'<h2(?: id="([^"]*)")?>(.*?)</h2>', link, body, flags=re.DOTALL)
 
 
 def page(title: str, body: str) -> str:
-    """Return the self-contained page around `body`, its headings with links to themselves; `title` is plain text."""
+    """Return the self-contained page around `body`, its headings with links to themselves; `title`
+    is plain text.
+    """
     style = (files("bristle.common") / "report.css").read_text(encoding="utf-8")
     script = ""
     if 'class="plot"' in body:

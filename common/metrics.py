@@ -11,12 +11,19 @@ Array = NDArray[np.float64]
 
 
 def rms(error: Array) -> float:
-    """Return the root of the mean square of an error (n,); NaN if it is empty or a value is not finite."""
-    return float(np.sqrt(np.mean(np.square(error)))) if len(error) and np.isfinite(error).all() else math.nan
+    """Return the root of the mean square of an error (n,); NaN if it is empty or a value is not
+    finite.
+    """
+    return (
+        float(np.sqrt(np.mean(np.square(error))))
+        if len(error) and np.isfinite(error).all()
+        else math.nan
+    )
 
 
 def fit_percent(measured: Array, predicted: Array) -> float:
-    """Return 100 (1 - |y - y^| / |y - mean y|) of signals (n,), 100 for a perfect model; NaN for a constant y or a failed y^.
+    """Return 100 (1 - |y - y^| / |y - mean y|) of signals (n,), 100 for a perfect model; NaN for a
+    constant y or a failed y^.
 
     Source: ljung1999 (fit of a model, in per cent).
     """

@@ -1,7 +1,9 @@
-"""Output files: JSON content, a check that the folder is writable before a long computation, all files or none.
+"""Output files: JSON content, a check that the folder is writable before a long computation, all
+files or none.
 
-Several files are put into their places by renaming them one after the other, which a killed process leaves half done. A journal is
-written before the first is renamed, when all are complete: whoever uses the folder next finishes what it says (`recover`).
+Several files are put into their places by renaming them one after the other, which a killed process
+leaves half done. A journal is written before the first is renamed, when all are complete: whoever
+uses the folder next finishes what it says (`recover`).
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ NEW, BEFORE = "new", "old"  # in a work folder: what is to come, and what was th
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: arrays become lists, and what is not a finite number becomes null."""
+    """Return a value as JSON can hold it: arrays become lists, and what is not a finite number
+    becomes null.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -48,12 +52,15 @@ def to_json(content: Mapping[str, Any]) -> str:
 def complain(folder: Path, error: OSError) -> BristleError:
     """Return the error for a folder that cannot be written."""
     return BristleError(
-        f"output folder {folder}: {error.strerror or error}; choose another folder or make room (nothing was changed)"
+        f"output folder {folder}: {error.strerror or error}; choose another folder or make room"
+        " (nothing was changed)"
     )
 
 
 def check_writable(out: Path) -> None:
-    """Create the output folder and check that it is writable, before a long computation; finish what a killed process began."""
+    """Create the output folder and check that it is writable, before a long computation; finish
+    what a killed process began.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         recover(out)
@@ -65,7 +72,9 @@ def check_writable(out: Path) -> None:
 
 @contextmanager
 def output_folder(out: Path) -> Iterator[None]:
-    """Create the output folder and check that it is writable; if the work in the context fails, remove it if it is empty."""
+    """Create the output folder and check that it is writable; if the work in the context fails,
+    remove it if it is empty.
+    """
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         check_writable(out)
@@ -87,14 +96,18 @@ def write_file(path: Path, content: bytes) -> None:
 
 def check_not_replaced(out: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
     """Raise `BristleError` if a file of these names in `out` would take the place of an input."""
-    places = {os.path.realpath(out / name) for name in names}  # unlike `resolve`, of a loop of links too
+    # unlike `resolve`, of a loop of links too
+    places = {os.path.realpath(out / name) for name in names}
     for path in inputs:
         if os.path.realpath(path) in places:
-            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
+            raise BristleError(
+                f"{path}: would be replaced by what is written into {out}; give another folder"
+            )
 
 
 def check_files_writable(files: Iterable[Path]) -> None:
-    """Make the folders of files that are to be written later; raise `BristleError` if one of them could not be.
+    """Make the folders of files that are to be written later; raise `BristleError` if one of them
+    could not be.
 
     So that a typo in a path is told before a long run and not after it.
     """
@@ -107,14 +120,21 @@ def check_files_writable(files: Iterable[Path]) -> None:
             if not there:
                 path.unlink()
         except OSError as error:
-            raise BristleError(f"{path}: {error.strerror or error}; give a file that can be written") from None
+            raise BristleError(
+                f"{path}: {error.strerror or error}; give a file that can be written"
+            ) from None
 
 
 def check_no_folder(out: Path, names: Sequence[str]) -> None:
-    """Raise `BristleError` if a file of one of these names could not be written into `out`, because a folder is called so."""
+    """Raise `BristleError` if a file of one of these names could not be written into `out`, because
+    a folder is called so.
+    """
     for name in names:
         if (out / name).is_dir():
-            raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")
+            raise BristleError(
+                f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move"
+                " it away"
+            )
 
 
 def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str]) -> list[Path]:
@@ -169,12 +189,16 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def replace_each(content: Mapping[Path, bytes]) -> None:
-    """Put files in the place of older ones: those of a folder all or none; raise `BristleError` as `replace_file`."""
+    """Put files in the place of older ones: those of a folder all or none; raise `BristleError` as
+    `replace_file`.
+    """
     folders: dict[Path, dict[str, bytes]] = {}
     for path, data in content.items():
         folders.setdefault(path.parent, {})[path.name] = data
     for folder, files in folders.items():
-        if len(files) == 1 or any((folder / name).exists() and not (folder / name).is_file() for name in files):
+        if len(files) == 1 or any(
+            (folder / name).exists() and not (folder / name).is_file() for name in files
+        ):
             for name, data in files.items():
                 replace_file(folder / name, data)
         else:
@@ -182,7 +206,9 @@ def replace_each(content: Mapping[Path, bytes]) -> None:
 
 
 def recover(out: Path) -> None:
-    """Finish what processes that were killed had begun to put into a folder, and sweep what else they left there."""
+    """Finish what processes that were killed had begun to put into a folder, and sweep what else
+    they left there.
+    """
     found = [path for path in out.iterdir() if OURS.fullmatch(path.name)]
     if any((work / JOURNAL).exists() for work in found):
         with _alone(out):
@@ -205,7 +231,9 @@ def _alone(out: Path) -> Iterator[None]:
 
 
 def _switch(work: Path, out: Path, names: Sequence[str]) -> None:
-    """Put all that `work` has made into `out`, and remove the rest of these names there; or, if that fails, change nothing."""
+    """Put all that `work` has made into `out`, and remove the rest of these names there; or, if
+    that fails, change nothing.
+    """
     fresh = [name for name in names if (work / NEW / name).exists()]
     gone = [name for name in names if name not in fresh]
     if not gone and len(fresh) == 1 and not (work / NEW / fresh[0]).is_dir():
@@ -225,7 +253,9 @@ def _switch(work: Path, out: Path, names: Sequence[str]) -> None:
 
 
 def _journal(work: Path) -> tuple[list[str], list[str]]:
-    """Return the names of what is to be put into its place and of what is to go; both lie inside the folder."""
+    """Return the names of what is to be put into its place and of what is to go; both lie inside
+    the folder.
+    """
     path = work / JOURNAL
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -238,7 +268,9 @@ def _journal(work: Path) -> tuple[list[str], list[str]]:
 
 
 def _forward(work: Path, out: Path, fresh: Sequence[str], gone: Sequence[str]) -> None:
-    """Move what `out` has of these names into `work`, and what is fresh there into `out`; what is done already stays."""
+    """Move what `out` has of these names into `work`, and what is fresh there into `out`; what is
+    done already stays.
+    """
     for name in (*fresh, *gone):
         if name in fresh and not (work / NEW / name).exists():
             continue

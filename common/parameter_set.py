@@ -15,7 +15,8 @@ from bristle.common.xml import document
 Value = float | int | bool | str
 
 SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
-KINDS_OF_VALUES = {bool: "Boolean", int: "Integer", str: "String", float: "Real"}  # in this order: a bool is an int
+# in this order: a bool is an int
+KINDS_OF_VALUES = {bool: "Boolean", int: "Integer", str: "String", float: "Real"}
 
 
 def parameter_set(name: str, values: Mapping[str, Value]) -> bytes:
@@ -25,8 +26,18 @@ def parameter_set(name: str, values: Mapping[str, Value]) -> bytes:
     parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
     for each, value in values.items():
         kind = next(name for cls, name in KINDS_OF_VALUES.items() if isinstance(value, cls))
-        text = str(value).lower() if kind == "Boolean" else str(value) if kind == "String" else repr(value)
-        ET.SubElement(ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=each), f"{{{SSV}}}{kind}", value=text)
+        text = (
+            str(value).lower()
+            if kind == "Boolean"
+            else str(value)
+            if kind == "String"
+            else repr(value)
+        )
+        ET.SubElement(
+            ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=each),
+            f"{{{SSV}}}{kind}",
+            value=text,
+        )
     return document(root)
 
 
@@ -64,4 +75,6 @@ def _value(parameter: ET.Element) -> Value:
             return text
         if kind == "Boolean" and text in ("true", "false", "0", "1"):
             return text in ("true", "1")
-    raise BristleError(f"parameter '{parameter.get('name')}' is neither Real nor Integer, Boolean or String")
+    raise BristleError(
+        f"parameter '{parameter.get('name')}' is neither Real nor Integer, Boolean or String"
+    )

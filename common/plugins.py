@@ -1,8 +1,9 @@
-"""Files of the catalogues: those of a package, and those of the folders that the environment variable BRISTLE_PLUGINS names.
+"""Files of the catalogues: those of a package, and those of the folders that the environment
+variable BRISTLE_PLUGINS names.
 
-Such a folder has sub-folders `laws`, `effects`, `observers` and `scenarios`; a file there counts like one of the package. Several
-folders are separated as in PATH. Whatever is wrong with a file there, the error names the file. Parts of installed packages are in
-`packages`.
+Such a folder has sub-folders `laws`, `effects`, `observers` and `scenarios`; a file there counts
+like one of the package. Several folders are separated as in PATH. Whatever is wrong with a file
+there, the error names the file. Parts of installed packages are in `packages`.
 """
 
 from __future__ import annotations
@@ -58,10 +59,13 @@ def plugin_roots() -> list[Path]:
     roots = [Path(name) for name in os.environ.get(PLUGINS_VARIABLE, "").split(os.pathsep) if name]
     for root in roots:
         if not root.is_dir():
-            raise BristleError(f"{PLUGINS_VARIABLE}: no folder {root}; create it or correct the variable")
+            raise BristleError(
+                f"{PLUGINS_VARIABLE}: no folder {root}; create it or correct the variable"
+            )
         if not any((root / known).is_dir() for known in PLUGIN_KINDS):
             raise BristleError(
-                f"{PLUGINS_VARIABLE}: {root} has none of the sub-folders {', '.join(PLUGIN_KINDS)}; move the files there"
+                f"{PLUGINS_VARIABLE}: {root} has none of the sub-folders {', '.join(PLUGIN_KINDS)};"
+                " move the files there"
             )
     return [root.resolve() for root in roots]
 
@@ -72,12 +76,20 @@ def plugin_folders(kind: str) -> list[Path]:
 
 
 def plugin_files(kind: str, suffix: str) -> list[Path]:
-    """Return the files of a kind in the folders of BRISTLE_PLUGINS; those whose name begins with _ do not count."""
-    return [path for folder in plugin_folders(kind) for path in sorted(folder.glob(f"*{suffix}")) if path.name[0] != "_"]
+    """Return the files of a kind in the folders of BRISTLE_PLUGINS; those whose name begins with _
+    do not count.
+    """
+    return [
+        path
+        for folder in plugin_folders(kind)
+        for path in sorted(folder.glob(f"*{suffix}"))
+        if path.name[0] != "_"
+    ]
 
 
 def catalogue_modules(package: str, paths: Iterable[str], kind: str) -> list[CatalogueFile]:
-    """Return the modules of a package and those of the plug-in folders, in alphabetical order of their files.
+    """Return the modules of a package and those of the plug-in folders, in alphabetical order of
+    their files.
 
     Parameters
     ----------
@@ -92,11 +104,18 @@ def catalogue_modules(package: str, paths: Iterable[str], kind: str) -> list[Cat
         Each module with its file.
     """
     folder = "/".join(package.split(".")[1:])
-    own = [(name, f"{folder}/{name}.py", None) for name in (module.name for module in pkgutil.iter_modules(paths))]
+    own = [
+        (name, f"{folder}/{name}.py", None)
+        for name in (module.name for module in pkgutil.iter_modules(paths))
+    ]
     added = [(path.stem, str(path), path) for path in plugin_files(kind, ".py")]
     found = sorted([*own, *added], key=lambda each: each[:2])
     return [
-        CatalogueFile(importlib.import_module(f"{package}.{name}") if path is None else _load(path), file, path is not None)
+        CatalogueFile(
+            importlib.import_module(f"{package}.{name}") if path is None else _load(path),
+            file,
+            path is not None,
+        )
         for name, file, path in found
     ]
 
@@ -109,7 +128,8 @@ def declarations(found: Sequence[CatalogueFile], attribute: str, kind: type[D]) 
     Raises
     ------
     BristleError
-        If a plug-in declares nothing of this kind, or something is called as in another file, of which a plug-in is to be changed.
+        If a plug-in declares nothing of this kind, or something is called as in another file, of
+        which a plug-in is to be changed.
     """
     declared: dict[str, D] = {}
     for module, file, plugin in found:
@@ -118,29 +138,43 @@ def declarations(found: Sequence[CatalogueFile], attribute: str, kind: type[D]) 
             declared[file] = item
         elif plugin or item is not None:
             raise BristleError(
-                f"{file}: no {attribute} that is a {kind.__name__}; declare one, or begin the name of a file of helpers with _"
+                f"{file}: no {attribute} that is a {kind.__name__}; declare one, or begin the name"
+                " of a file of helpers with _"
             )
     first: dict[str, str] = {}
-    for file in (each.file for each in sorted(found, key=lambda each: each.plugin) if each.file in declared):
+    for file in (
+        each.file for each in sorted(found, key=lambda each: each.plugin) if each.file in declared
+    ):
         name = declared[file].name
         if name in first:
-            raise BristleError(f"{file}: {attribute} is called '{name}', as in {first[name]}; give it a name of its own")
+            raise BristleError(
+                f"{file}: {attribute} is called '{name}', as in {first[name]}; give it a name of"
+                " its own"
+            )
         first[name] = file
     return declared
 
 
 @contextmanager
 def naming_plugins(parts: Iterable[Declared]) -> Iterator[None]:
-    """Let an error in equations of plug-ins, or in what they return, name the file, and the line if it is one of the file."""
+    """Let an error in equations of plug-ins, or in what they return, name the file, and the line if
+    it is one of the file.
+    """
     try:
         yield
     except Exception as error:  # whatever the code of a plug-in raises
-        files = {part.file.rpartition(": ")[2]: part.file for part in parts if part.file}  # with the package, where there is one
-        misfit = isinstance(error, BristleError) and not isinstance(error, EquationError)  # of parts that are right by themselves
+        # with the package, where there is one
+        files = {part.file.rpartition(": ")[2]: part.file for part in parts if part.file}
+        # of parts that are right by themselves
+        misfit = isinstance(error, BristleError) and not isinstance(error, EquationError)
         if misfit or not files:
             raise
         frames = [at for at in traceback.extract_tb(error.__traceback__) if at.filename in files]
-        where = f"{files[frames[-1].filename]}: line {frames[-1].lineno}" if frames else " or ".join(files.values())
+        where = (
+            f"{files[frames[-1].filename]}: line {frames[-1].lineno}"
+            if frames
+            else " or ".join(files.values())
+        )
         raise EquationError(f"{where}: {told(error)}; correct the equations") from error
 
 
@@ -162,7 +196,8 @@ def _load(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a file that leaves the program is a mistake of the file
+    # a file that leaves the program is a mistake of the file
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise BristleError(f"{path}: {told(error)}; correct the file or remove it") from error
     return module

@@ -21,21 +21,27 @@ def _version() -> str:
 def provenance() -> dict[str, Any]:
     """Return what the key `provenance` of a result begins with.
 
-    Version of the library, date and time in UTC, platform, and the folder to which relative paths of a command belong, null if it
-    is gone.
+    Version of the library, date and time in UTC, platform, and the folder to which relative paths
+    of a command belong, null if it is gone.
     """
-    machine, folder = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}", None
+    machine, folder = (
+        f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+        None,
+    )
     with suppress(OSError):
         folder = str(Path.cwd())
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {"version": _version(), "date": now, "platform": machine, "folder": folder}
 
 
-def provenance_of(model: Path | None, records: Iterable[Path], command: str = "", fmu: Path | None = None) -> dict[str, Any]:
-    """Return the same with the SHA-256 of the files that a result was made from, and the command that repeats it.
+def provenance_of(
+    model: Path | None, records: Iterable[Path], command: str = "", fmu: Path | None = None
+) -> dict[str, Any]:
+    """Return the same with the SHA-256 of the files that a result was made from, and the command
+    that repeats it.
 
-    Where an FMU is the model, `model` may be that file, or the model file that says what the records hold.
-    That of a file that is gone since is null: the result is worth more than its hash.
+    Where an FMU is the model, `model` may be that file, or the model file that says what the
+    records hold. That of a file that is gone since is null: the result is worth more than its hash.
     """
 
     def sha256(path: Path) -> str | None:

@@ -15,10 +15,17 @@ Array = NDArray[np.float64]
 
 
 def table_text(columns: Mapping[str, Array], digits: int | None = None) -> str:
-    """Return columns of numbers as CSV with a head; without `digits`, with as many as give the same doubles."""
+    """Return columns of numbers as CSV with a head; without `digits`, with as many as give the same
+    doubles.
+    """
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
-    np.savetxt(out, np.column_stack(list(columns.values())), fmt="%s" if digits is None else f"%.{digits}g", delimiter=",")
+    np.savetxt(
+        out,
+        np.column_stack(list(columns.values())),
+        fmt="%s" if digits is None else f"%.{digits}g",
+        delimiter=",",
+    )
     return out.getvalue()
 
 
@@ -35,7 +42,9 @@ def signals_of(content: bytes, name: str) -> tuple[Array, dict[str, Array]]:
         table = np.array([[float(cell) for cell in row] for row in rows if row])
         values = dict(zip(head[1:], table.T[1:], strict=True))
     except (ValueError, IndexError, csv.Error):
-        raise BristleError(f"{name}: no table of numbers with a head of as many names, and time first") from None
+        raise BristleError(
+            f"{name}: no table of numbers with a head of as many names, and time first"
+        ) from None
     if len(values) < len(head) - 1:
         raise BristleError(f"{name}: two columns have one name")
     if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) < 0).any():

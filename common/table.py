@@ -10,17 +10,26 @@ import numpy as np
 from bristle.common.columns import KINDS as KINDS
 from bristle.common.columns import Array as Array
 from bristle.common.columns import Columns as Columns
-from bristle.common.containers import read_hdf5, read_mat, read_npy, read_npz, read_parquet, read_xlsx
+from bristle.common.containers import (
+    read_hdf5,
+    read_mat,
+    read_npy,
+    read_npz,
+    read_parquet,
+    read_xlsx,
+)
 from bristle.common.delimited import is_number, read_delimited
 from bristle.common.errors import BristleError, suggest
 from bristle.common.files import check_regular
 from bristle.common.units import parse_unit
 
-SHOWN_LETTERS, SHOWN_NAMES = 40, 20  # letters of a column name, and column names, that an error message shows at most
+# letters of a column name, and column names, that an error message shows at most
+SHOWN_LETTERS, SHOWN_NAMES = 40, 20
 
 
 def read_columns(path: Path) -> Columns:
-    """Return all numeric columns of a file by name, each of shape (n,); an empty field of a CSV is NaN.
+    """Return all numeric columns of a file by name, each of shape (n,); an empty field of a CSV is
+    NaN.
 
     Raises
     ------
@@ -28,11 +37,15 @@ def read_columns(path: Path) -> Columns:
         If the file cannot be read or is of no known format.
     """
     if path.is_dir():
-        raise BristleError(f"record {path}: is a folder; give a file, or the pattern '{path}/*.csv'")
+        raise BristleError(
+            f"record {path}: is a folder; give a file, or the pattern '{path}/*.csv'"
+        )
     check_regular(path, f"record {path}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}")
+        raise BristleError(
+            f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}"
+        )
     try:
         columns = reader(path)
     except BristleError:
@@ -45,16 +58,22 @@ def read_columns(path: Path) -> Columns:
         raise _unreadable(path, error) from None
     if not columns:
         held = "".join(f"; '{name}' holds {what}" for name, what in columns.unusable.items())
-        raise BristleError(f"record {path}: no column of numbers{held}; give plain vectors of equal length")
+        raise BristleError(
+            f"record {path}: no column of numbers{held}; give plain vectors of equal length"
+        )
     return columns
 
 
 def _unreadable(path: Path, error: Exception) -> BristleError:
-    return BristleError(f"record {path}: cannot be read: {' '.join(str(error).split())}; check the file")
+    return BristleError(
+        f"record {path}: cannot be read: {' '.join(str(error).split())}; check the file"
+    )
 
 
 READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn"), read_delimited),
+    **dict.fromkeys(
+        (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn"), read_delimited
+    ),
     ".mat": read_mat,
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".npz": read_npz,
@@ -65,7 +84,8 @@ READERS: dict[str, Callable[[Path], Columns]] = {
 
 
 def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
-    """Return the factor that converts a value in `unit` to `si_unit`; `scale` is such as ``"1 rad/m"``.
+    """Return the factor that converts a value in `unit` to `si_unit`; `scale` is such as ``"1
+    rad/m"``.
 
     Raises
     ------
@@ -78,14 +98,25 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
         number, _, text = scale.strip().partition(" ")
         over = parse_unit(text or "1")
         if not is_number(number) or not np.isfinite(float(number)):
-            raise BristleError(f"scale '{scale}' is not a number with a unit; write for example \"20 rad/m\"")
+            raise BristleError(
+                f"scale '{scale}' is not a number with a unit; write for example \"20 rad/m\""
+            )
         if float(number) == 0.0:
-            raise BristleError(f"scale '{scale}' is zero; write what one of the unit is worth, for example \"20 rad/m\"")
-        factor, exponents = factor * float(number) * over.factor, exponents + np.array(over.exponents)
+            raise BristleError(
+                f"scale '{scale}' is zero; write what one of the unit is worth, for example \"20"
+                ' rad/m"'
+            )
+        factor, exponents = (
+            factor * float(number) * over.factor,
+            exponents + np.array(over.exponents),
+        )
     if tuple(exponents) != want.exponents:
         if scale is not None:
             advice = f"write unit '1' with a scale in {si_unit}, or correct either"
-            raise BristleError(f"unit '{unit}' with scale '{scale}' gives none like '{si_unit}', which is needed; {advice}")
+            raise BristleError(
+                f"unit '{unit}' with scale '{scale}' gives none like '{si_unit}', which is needed;"
+                f" {advice}"
+            )
         raise BristleError(
             f"unit '{unit}' does not fit, a unit like '{si_unit}' is needed; "
             f'correct it, or add scale = "... {si_unit}" over that unit'
@@ -96,20 +127,32 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
 def _listed(names: Iterable[str]) -> str:
     """Return names in short, for one line of an error message."""
     short = [name if len(name) <= SHOWN_LETTERS else f"{name[:SHOWN_LETTERS]}..." for name in names]
-    return ", ".join(short[:SHOWN_NAMES]) + (f" and {len(short) - SHOWN_NAMES} more" if len(short) > SHOWN_NAMES else "")
+    return ", ".join(short[:SHOWN_NAMES]) + (
+        f" and {len(short) - SHOWN_NAMES} more" if len(short) > SHOWN_NAMES else ""
+    )
 
 
-def si_column(where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str) -> Array:
+def si_column(
+    where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str
+) -> Array:
     """Return a column in SI units, shape (n,); `where` begins the line of an error."""
     if what := getattr(columns, "unusable", {}).get(name):
         raise BristleError(f"{where}: column '{name}' holds {what}; give one number a sample")
     if name not in columns:
-        raise BristleError(f"{where}: no column '{name}'{suggest(name, list(columns))}; there are: {_listed(columns)}")
+        raise BristleError(
+            f"{where}: no column '{name}'{suggest(name, list(columns))}; there are:"
+            f" {_listed(columns)}"
+        )
     if name in getattr(columns, "clocks", ()):
         if si_unit != "s":
-            raise BristleError(f"{where}: column '{name}' holds timestamps; give one number a sample")
+            raise BristleError(
+                f"{where}: column '{name}' holds timestamps; give one number a sample"
+            )
         if unit != "s":
-            raise BristleError(f"{where}: column '{name}' holds timestamps, which are read in s; write unit = \"s\"")
+            raise BristleError(
+                f"{where}: column '{name}' holds timestamps, which are read in s; write unit ="
+                ' "s"'
+            )
     try:
         return columns[name] * factor_to(unit, scale, si_unit)
     except BristleError as error:

@@ -1,4 +1,6 @@
-"""TOML files: reading, checking against a schema, one-line errors with file, key, value and what to do."""
+"""TOML files: reading, checking against a schema, one-line errors with file, key, value and what to
+do.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ SCALARS = ("str", "int", "float", "bool")  # names of types in the place of an e
 
 
 class Section(BaseModel):
-    """A table of the file; unknown keys are mistakes. The text below a key describes it (docs/generate.py)."""
+    """A table of the file; unknown keys are mistakes. The text below a key describes it
+    (docs/generate.py).
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
@@ -33,11 +37,17 @@ class InUnit:
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         """Return the JSON schema of the text, such as ``20 s``."""
-        return {"type": "string", "pattern": r"^\s*[-+0-9.eE]+\s+\S+\s*$", "examples": [f"1 {self.unit}"]}
+        return {
+            "type": "string",
+            "pattern": r"^\s*[-+0-9.eE]+\s+\S+\s*$",
+            "examples": [f"1 {self.unit}"],
+        }
 
 
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
-    """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""
+    """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario
+    file").
+    """
     if path.is_dir():
         raise BristleError(f"{path}: is a folder; give a {what}")
     check_regular(path)
@@ -62,13 +72,23 @@ def too_much(error: ValueError | RecursionError) -> str:
 
 
 def _shown(value: object) -> str:
-    text = f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
+    text = (
+        f'"{value}"'
+        if isinstance(value, str)
+        else str(value).lower()
+        if isinstance(value, bool)
+        else repr(value)
+    )
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def mistake(path: Path | str, key: str, value: object, message: str) -> BristleError:
-    """Return the one-line error for a key of a file; value None stands for a key that is not there."""
-    where = f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
+    """Return the one-line error for a key of a file; value None stands for a key that is not
+    there.
+    """
+    where = (
+        f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
+    )
     return BristleError(" ".join(f"{where}: {message}".split()))
 
 
@@ -79,7 +99,9 @@ def quoted(text: str) -> str:
 
 
 def _dotted(location: Sequence[int | str]) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    return "".join(
+        f"[{part}]" if isinstance(part, int) else f".{part}" for part in location
+    ).lstrip(".")
 
 
 def _section_at(schema: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
@@ -89,7 +111,11 @@ def _section_at(schema: type[BaseModel], location: Sequence[int | str]) -> type[
             continue
         if part not in schema.model_fields:
             return None
-        found = [t for t in _types(schema.model_fields[part].annotation) if isinstance(t, type) and issubclass(t, BaseModel)]
+        found = [
+            t
+            for t in _types(schema.model_fields[part].annotation)
+            if isinstance(t, type) and issubclass(t, BaseModel)
+        ]
         if not found:
             return None
         schema = found[0]
@@ -102,26 +128,50 @@ def _types(annotation: Any) -> list[Any]:
 
 
 def _missing_keys(path: Path | str, found: Sequence[ErrorDetails]) -> BristleError:
-    """Return the error for all keys that are missing; an error may say in its context which keys could take the place of one."""
-    keys = [e.get("ctx", {}).get("keys", _dotted(e["loc"])) for e in found if e["type"] == "missing"]
+    """Return the error for all keys that are missing; an error may say in its context which keys
+    could take the place of one.
+    """
+    keys = [
+        e.get("ctx", {}).get("keys", _dotted(e["loc"])) for e in found if e["type"] == "missing"
+    ]
     more = f" (and {len(found) - len(keys)} more)" if len(found) > len(keys) else ""
-    return mistake(path, ", ".join(keys), None, f"missing; add {'it' if len(keys) == 1 else 'them'}{more}")
+    return mistake(
+        path, ", ".join(keys), None, f"missing; add {'it' if len(keys) == 1 else 'them'}{more}"
+    )
 
 
-def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationError) -> BristleError:
+def first_mistake(
+    path: Path | str, schema: type[BaseModel], error: ValidationError
+) -> BristleError:
     """Return the first error that pydantic found, in one line."""
     found = error.errors()
     # of an unknown and a missing key the unknown one is shown: it is usually a misspelt one
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-    kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
+    kind, location, value = (
+        first["type"],
+        [p for p in first["loc"] if not str(p).startswith("function-")],
+        first["input"],
+    )
     key, context = _dotted(location), first.get("ctx", {})
-    if isinstance(value, (dict, list)) and location and location[-1] in SCALARS:  # pydantic tells for each type it could be
-        return mistake(path, _dotted(location[:-1]), value, "must be one value, not a table or a list; change the value")
+    # pydantic tells for each type it could be
+    if isinstance(value, (dict, list)) and location and location[-1] in SCALARS:
+        return mistake(
+            path,
+            _dotted(location[:-1]),
+            value,
+            "must be one value, not a table or a list; change the value",
+        )
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     if kind == "extra_forbidden":
         section = _section_at(schema, location[:-1])
         known = list(section.model_fields) if section else []
-        return mistake(path, key, value, f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}{more}")
+        return mistake(
+            path,
+            key,
+            value,
+            f"unknown key{suggest(str(location[-1]), known)}; allowed here:"
+            f" {', '.join(known)}{more}",
+        )
     if kind == "missing":
         return _missing_keys(path, found)
     if kind == "value_error":

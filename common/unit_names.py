@@ -1,4 +1,6 @@
-"""Units as loggers write them, in English and German (``Nm``, ``U/min``, ``Grad``), as `bristle.common.units` has them."""
+"""Units as loggers write them, in English and German (``Nm``, ``U/min``, ``Grad``), as
+`bristle.common.units` has them.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,30 @@ _UNIT_WORDS = {
     "N": "newton newtons",
     "N.m": "newtonmeter newtonmetre newton-meter newton-metre n-m",
     "%": "percent prozent pct",
-    COUNTS: "count counts cnt cnts inc incs increment increments inkr inkrement inkremente tick ticks step steps lsb digit digits",
+    COUNTS: (
+        "count counts cnt cnts inc incs increment increments inkr inkrement inkremente tick ticks"
+        " step steps lsb digit digits"
+    ),
 }
 _KNOWN = {word: unit for unit, words in _UNIT_WORDS.items() for word in words.split()}
-_EXACT = {"Nm": "N.m", "mNm": "mN.m", "Ncm": "N.cm", "Nmm": "N.mm", "NM": "N.m", "U": "rev", "S": "s", "v": "V", "a": "A"}
+_EXACT = {
+    "Nm": "N.m",
+    "mNm": "mN.m",
+    "Ncm": "N.cm",
+    "Nmm": "N.mm",
+    "NM": "N.m",
+    "U": "rev",
+    "S": "s",
+    "v": "V",
+    "a": "A",
+}
 _PRODUCT = str.maketrans({"·": ".", "*": ".", "×": ".", "⋅": ".", "²": "2", "³": "3"})
 
 
 def unit_symbol(text: str) -> str | None:
-    """Return a unit as `parse_unit` reads it, `COUNTS` for steps of an encoder, None if it is not known."""
+    """Return a unit as `parse_unit` reads it, `COUNTS` for steps of an encoder, None if it is not
+    known.
+    """
     text = text.strip().strip("[](){}<> ").translate(_PRODUCT)
     if not text:
         return None

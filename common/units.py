@@ -11,7 +11,8 @@ from bristle.common.errors import BristleError
 
 __all__ = ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"]
 
-BASE = ("kg", "m", "s", "A", "rad")  # the SI base units (and rad) that FMI's BaseUnit has and servo models need
+# the SI base units (and rad) that FMI's BaseUnit has and servo models need
+BASE = ("kg", "m", "s", "A", "rad")
 
 _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
@@ -65,7 +66,10 @@ def parse_unit(text: str) -> Unit:
         for token in part.strip("()").split(".") if part else ():
             match = re.fullmatch(r"(1|%|[A-Za-z]+?)(-?\d*)", token)
             if match is None or match[1] not in _SYMBOLS:
-                raise BristleError(f"unit '{text}': '{token}' is not known{_joined(token)}; known: {' '.join(_SYMBOLS)}")
+                raise BristleError(
+                    f"unit '{text}': '{token}' is not known{_joined(token)}; known:"
+                    f" {' '.join(_SYMBOLS)}"
+                )
             scale, dimensions = _SYMBOLS[match[1]]
             power = sign * int(match[2] or 1)
             factor *= scale**power
@@ -77,7 +81,9 @@ def parse_unit(text: str) -> Unit:
 def _joined(token: str) -> str:
     """Return a suggestion if a token is two symbols without the dot between them."""
     pairs = ((token[:i], token[i:]) for i in range(1, len(token)))
-    meant = next((f"{a}.{b}" for a, b in pairs if a in _SYMBOLS and re.sub(r"\d+$", "", b) in _SYMBOLS), "")
+    meant = next(
+        (f"{a}.{b}" for a, b in pairs if a in _SYMBOLS and re.sub(r"\d+$", "", b) in _SYMBOLS), ""
+    )
     return f", did you mean '{meant}'?" if meant else ""
 
 
@@ -85,7 +91,11 @@ def per_second(text: str) -> str:
     """Return the unit of a rate: ``rad/s`` becomes ``rad/s2``."""
     numerator, _, denominator = text.partition("/")
     tokens = [token for token in denominator.strip("()").split(".") if token]
-    powers = {match[1]: int(match[2] or 1) for token in tokens if (match := re.fullmatch(r"([A-Za-z]+)(\d*)", token))}
+    powers = {
+        match[1]: int(match[2] or 1)
+        for token in tokens
+        if (match := re.fullmatch(r"([A-Za-z]+)(\d*)", token))
+    }
     powers["s"] = powers.get("s", 0) + 1
     written = ".".join(name if power == 1 else f"{name}{power}" for name, power in powers.items())
     return f"{numerator}/{written}" if len(powers) == 1 else f"{numerator}/({written})"
@@ -100,8 +110,13 @@ def convert(value: float, unit: str, si_unit: str) -> float:
 
 
 def interval(low: float, high: float, unit: str = "1") -> str:
-    """Return an interval as text, ``[0, 40]`` or ``[0.1, 2] rad/s``, with all digits of an end that is a whole number."""
-    ends = (f"{end:.0f}" if float(end).is_integer() and float(f"{end:g}") != end else f"{end:g}" for end in (low, high))
+    """Return an interval as text, ``[0, 40]`` or ``[0.1, 2] rad/s``, with all digits of an end that
+    is a whole number.
+    """
+    ends = (
+        f"{end:.0f}" if float(end).is_integer() and float(f"{end:g}") != end else f"{end:g}"
+        for end in (low, high)
+    )
     return f"[{', '.join(ends)}]" + ("" if unit == "1" else f" {unit}")
 
 
@@ -116,17 +131,27 @@ def quantity(given: str | float | int, si_unit: str) -> float:
         If the number or the unit is missing, unknown, of another dimension, or not finite.
     """
     if isinstance(given, bool) or not isinstance(given, (str, float, int)):
-        raise BristleError(f'{given!r} is not a quantity; write a number with a unit such as "1 {si_unit}"')
+        raise BristleError(
+            f'{given!r} is not a quantity; write a number with a unit such as "1 {si_unit}"'
+        )
     number, _, unit = str(given).strip().partition(" ")
     try:
         value = float(number)
     except ValueError:
-        raise BristleError(f"'{given}' is not a quantity; write a number with a unit such as \"1 {si_unit}\"") from None
+        raise BristleError(
+            f"'{given}' is not a quantity; write a number with a unit such as \"1 {si_unit}\""
+        ) from None
     if not math.isfinite(value):
-        raise BristleError(f"'{given}' is not finite; write a number with a unit such as \"1 {si_unit}\"")
+        raise BristleError(
+            f"'{given}' is not finite; write a number with a unit such as \"1 {si_unit}\""
+        )
     if not unit.strip():
         if si_unit != "1":
-            right = f'"{number} {si_unit}"' if value >= 0 else f'a unit behind the number, such as "1 {si_unit}"'
+            right = (
+                f'"{number} {si_unit}"'
+                if value >= 0
+                else f'a unit behind the number, such as "1 {si_unit}"'
+            )
             raise BristleError(f"'{given}' has no unit; write {right}")
         return value
     return convert(value, unit.strip(), si_unit)

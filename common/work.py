@@ -1,4 +1,6 @@
-"""Folders for work in progress, with names of one kind; what a killed process left is swept when it is a day old."""
+"""Folders for work in progress, with names of one kind; what a killed process left is swept when it
+is a day old.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +18,20 @@ from pathlib import Path
 
 from bristle.common.errors import BristleError
 
-WORK = ".bristle-"  # how such a folder begins, in an output folder, in the cache and among the temporary files
+# how such a folder begins, in an output folder, in the cache and among the temporary files
+WORK = ".bristle-"
 JOURNAL = "journal.json"  # in such a folder: what it holds is being put into its place (`output`)
 OLD = 24 * 3600.0  # s after which such a folder is taken for one of a process that was killed
-OURS = re.compile(re.escape(WORK) + r"([a-z]+-)?[a-z0-9_]{8}")  # their names, as `tempfile` makes them
+# their names, as `tempfile` makes them
+OURS = re.compile(re.escape(WORK) + r"([a-z]+-)?[a-z0-9_]{8}")
 
 _swept: set[Path] = set()  # places that this process has looked at
 
 
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
-    """A folder among the temporary files, or in another `place`, that is removed at the end; `kind` says what for."""
+    """A folder among the temporary files, or in another `place`, that is removed at the end; `kind`
+    says what for.
+    """
 
     def __init__(self, kind: str, place: Path | None = None) -> None:
         parent = Path(tempfile.gettempdir()) if place is None else place
@@ -41,15 +47,22 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 
 
 def no_room(error: BaseException) -> BristleError | None:
-    """Return the error to raise if the folder for temporary files is full; None if the error is of another kind."""
+    """Return the error to raise if the folder for temporary files is full; None if the error is of
+    another kind.
+    """
     if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
         return None
-    return BristleError(f"temporary folder {tempfile.gettempdir()}: {error.strerror}; make room, or set TMPDIR to another folder")
+    return BristleError(
+        f"temporary folder {tempfile.gettempdir()}: {error.strerror}; make room, or set TMPDIR to"
+        " another folder"
+    )
 
 
 @contextmanager
 def work_folder(place: Path) -> Iterator[Path]:
-    """Give a folder to make files in that then are renamed into `place`; it stays only if a journal in it says so."""
+    """Give a folder to make files in that then are renamed into `place`; it stays only if a journal
+    in it says so.
+    """
     folder = Path(tempfile.mkdtemp(prefix=WORK, dir=place))
     held = lock(folder)
     try:
@@ -61,7 +74,8 @@ def work_folder(place: Path) -> Iterator[Path]:
 
 
 def lock(folder: Path, wait: bool = False) -> int | None:
-    """Lock a folder and return what `unlock` takes; None if another process has it, or the system cannot lock folders.
+    """Lock a folder and return what `unlock` takes; None if another process has it, or the system
+    cannot lock folders.
 
     The lock ends with the process, however that ends, and leaves no file.
     """
@@ -93,7 +107,9 @@ def sweep_once(place: Path) -> None:
 
 
 def sweep(place: Path) -> None:
-    """Remove the folders of killed processes from a place: those that are old, unlocked, of this user and without a journal."""
+    """Remove the folders of killed processes from a place: those that are old, unlocked, of this
+    user and without a journal.
+    """
     with suppress(OSError):
         for path in [each for each in place.iterdir() if OURS.fullmatch(each.name)]:
             with suppress(OSError):
@@ -103,7 +119,11 @@ def sweep(place: Path) -> None:
 
 def _left(folder: Path) -> bool:
     found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or time.time() - found.st_mtime < OLD or (folder / JOURNAL).exists():
+    if (
+        not stat.S_ISDIR(found.st_mode)
+        or time.time() - found.st_mtime < OLD
+        or (folder / JOURNAL).exists()
+    ):
         return False
     if sys.platform == "win32":
         return True

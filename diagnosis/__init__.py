@@ -1,4 +1,6 @@
-"""Measured records against a model: where they disagree, the name of what is missing, and the model with it added."""
+"""Measured records against a model: where they disagree, the name of what is missing, and the model
+with it added.
+"""
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.records import load_records, records_from_arrays
@@ -14,7 +16,20 @@ from bristle.diagnosis.workflow import diagnose
 from bristle.records.record import Record
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "Validation", "diagnose", "diagnose_fmu",
-    "fmu_model", "load_model", "load_records",
-    "records_from_arrays", "validate", "validate_fmu", "write", "write_validation",
-]  # fmt: skip
+    "BristleError",
+    "Diagnosis",
+    "Model",
+    "Record",
+    "SearchOptions",
+    "Validation",
+    "diagnose",
+    "diagnose_fmu",
+    "fmu_model",
+    "load_model",
+    "load_records",
+    "records_from_arrays",
+    "validate",
+    "validate_fmu",
+    "write",
+    "write_validation",
+]

@@ -1,4 +1,6 @@
-"""Whether the records agree on the parameters of a model: each with parameters of its own, against all with the same."""
+"""Whether the records agree on the parameters of a model: each with parameters of its own, against
+all with the same.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,12 @@ LEVEL_FACTOR = 4.0  # times the gain that chance gives under the noise model, wh
 
 
 def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
-    """Return whether the parts of the data are as likely with the parameters of all as with parameters of their own.
+    """Return whether the parts of the data are as likely with the parameters of all as with
+    parameters of their own.
 
-    The parts are the records, or the halves of a single one. A wrong model makes up for its error by other values where the motion
-    is another, and something that was changed between two records shows in one of them. None where bounds must be widened first.
+    The parts are the records, or the halves of a single one. A wrong model makes up for its error
+    by other values where the motion is another, and something that was changed between two records
+    shows in one of them. None where bounds must be widened first.
 
     Source: wilks1938 (distribution of the likelihood ratio).
     """
@@ -36,7 +40,10 @@ def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
     if any(not mask.any() for mask in parts.values()):
         return None
     fits = [resume(problem.only(mask), found.fit) for mask in parts.values()]
-    gain = sum(float((fit.score - found.fit.score)[mask].sum()) for fit, mask in zip(fits, parts.values(), strict=True))
+    gain = sum(
+        float((fit.score - found.fit.score)[mask].sum())
+        for fit, mask in zip(fits, parts.values(), strict=True)
+    )
     freedom = len(found.fit.free) * (len(parts) - 1)
     level = LEVEL_FACTOR * 0.5 * float(chi2.isf(CHANCE, freedom))
     if gain <= level < gain + sum(map(predicted_gain, fits)):
@@ -45,7 +52,10 @@ def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
     known = np.array([np.diag(fit.information)[shown] > 0 for fit in fits])
     names = [found.fit.free[k].name for k in shown]
     own = {
-        name: {part: float(fit.values[name]) if seen else None for part, fit, seen in zip(parts, fits, column, strict=True)}
+        name: {
+            part: float(fit.values[name]) if seen else None
+            for part, fit, seen in zip(parts, fits, column, strict=True)
+        }
         for name, column in zip(names, known.T, strict=True)
     }
     units = {name: case.model.unit(name) for name in own}
@@ -53,16 +63,29 @@ def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
 
 
 def without_floor(found: Conclusion, agrees: answer.Agreement | None) -> Conclusion:
-    """Return a conclusion without a noise floor where the records do not agree: what differs between them is in it."""
-    return found if agrees is None or agrees.holds else replace(found, gap=replace(found.gap, noise_floor=None))
+    """Return a conclusion without a noise floor where the records do not agree: what differs
+    between them is in it.
+    """
+    return (
+        found
+        if agrees is None or agrees.holds
+        else replace(found, gap=replace(found.gap, noise_floor=None))
+    )
 
 
-def with_agreement(diagnosis: answer.Diagnosis, agrees: answer.Agreement | None) -> answer.Diagnosis:
+def with_agreement(
+    diagnosis: answer.Diagnosis, agrees: answer.Agreement | None
+) -> answer.Diagnosis:
     """Return a diagnosis that says first where the records do not agree, and what to do then."""
     if agrees is None or agrees.holds:
         return replace(diagnosis, agreement=agrees)
     what = " ".join(filter(None, (disagreement_advice(agrees), diagnosis.experiment)))
-    return replace(diagnosis, agreement=agrees, statement=(disagreement_line(agrees), *diagnosis.statement), experiment=what)
+    return replace(
+        diagnosis,
+        agreement=agrees,
+        statement=(disagreement_line(agrees), *diagnosis.statement),
+        experiment=what,
+    )
 
 
 def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
@@ -78,15 +101,19 @@ def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
 
 
 def _most_different(fits: Sequence[Fit], known: Mask, shown: Sequence[int]) -> str:
-    """Return the parameter that differs most between fits, beside its standard deviations; an empty text where none does.
+    """Return the parameter that differs most between fits, beside its standard deviations; an empty
+    text where none does.
 
-    `known` (fits, parameters): whether a part of the data says anything of a parameter; `shown`: the places of the parameters.
+    `known` (fits, parameters): whether a part of the data says anything of a parameter; `shown`:
+    the places of the parameters.
     """
     free = fits[0].free
     variances = np.array([np.diag(covariance(fit))[shown] for fit in fits])
     values = np.array([[free[k].scaled(fit.values[free[k].name]) for k in shown] for fit in fits])
     usable = known & np.isfinite(variances) & (variances > 0)
-    apart = [_spread(x[use], v[use]) for x, v, use in zip(values.T, variances.T, usable.T, strict=True)]
+    apart = [
+        _spread(x[use], v[use]) for x, v, use in zip(values.T, variances.T, usable.T, strict=True)
+    ]
     most = int(np.argmax(apart)) if apart else 0
     return free[shown[most]].name if apart and apart[most] > 0 else ""
 

@@ -1,4 +1,6 @@
-"""After the search: what the records say, gathered as a `Conclusion` and then written as a `Diagnosis`."""
+"""After the search: what the records say, gathered as a `Conclusion` and then written as a
+`Diagnosis`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ import numpy as np
 
 from bristle.diagnosis.checks.excitation import VELOCITY_CAVEAT, excitation
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, fit_with_noise, has_outliers_or_disturbance
+from bristle.diagnosis.estimation.fitted_model import (
+    FittedModel,
+    disturbance_ratio,
+    fit_with_noise,
+    has_outliers_or_disturbance,
+)
 from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import Free
@@ -20,7 +27,14 @@ from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, 
 from bristle.diagnosis.localisation.views import Share
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.text import Facts, begins_anew, experiment, open_loop_line, statement, undetected
+from bristle.diagnosis.report.text import (
+    Facts,
+    begins_anew,
+    experiment,
+    open_loop_line,
+    statement,
+    undetected,
+)
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
@@ -29,9 +43,12 @@ from bristle.diagnosis.selection.stepwise import SearchOutcome, stands_in
 from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
 
-KNOWN_HALF_WIDTH = 0.3  # half an interval over the value, which of one parameter at least must be less
-DOMINANT_DISTURBANCE = 0.5  # of the input's torque, rms: a larger disturbance is something that the model lacks
-UNEXPLAINED_SHARE = 0.5  # share of the residual in a view from which the residual is no noise, whether reported or not
+# half an interval over the value, which of one parameter at least must be less
+KNOWN_HALF_WIDTH = 0.3
+# of the input's torque, rms: a larger disturbance is something that the model lacks
+DOMINANT_DISTURBANCE = 0.5
+# share of the residual in a view from which the residual is no noise, whether reported or not
+UNEXPLAINED_SHARE = 0.5
 MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # classes in a tie at most, and in records of uniform motion
 Estimates = Mapping[str, answer.Estimate]  # by the parameters' names
 NOTHING_LEFT = Unexplained(False, None, 0.0)
@@ -40,7 +57,9 @@ TIGHT_BOUNDS = "Effects explain these records, but they only make up for bounds 
 
 @dataclass(frozen=True)
 class Case:
-    """What is searched: a model and records, the records as a dataset, and the model fitted to it without further effects."""
+    """What is searched: a model and records, the records as a dataset, and the model fitted to it
+    without further effects.
+    """
 
     model: Model
     records: Sequence[Record]
@@ -65,13 +84,28 @@ class Comparison:
         return cls(*localise(case.dataset, case.base, final), gap_between(case, final), error_fall)
 
     def left(self, case: Case, final: FittedModel, named: Sequence[str]) -> Unexplained:
-        """Return whether a part of the residual is unexplained beside the effects that were named."""
-        outliers, disturbance = has_outliers_or_disturbance(case.dataset, final.fit), disturbance_ratio(case.dataset, final.fit)
-        model = FinalModel(named, final.fit.values, case.dataset.turn, self.gap.left, self.error_fall, outliers, disturbance)
+        """Return whether a part of the residual is unexplained beside the effects that were
+        named.
+        """
+        outliers, disturbance = (
+            has_outliers_or_disturbance(case.dataset, final.fit),
+            disturbance_ratio(case.dataset, final.fit),
+        )
+        model = FinalModel(
+            named,
+            final.fit.values,
+            case.dataset.turn,
+            self.gap.left,
+            self.error_fall,
+            outliers,
+            disturbance,
+        )
         return unexplained(self.shares, model)
 
     def closes_in_part(self, case: Case, final: FittedModel) -> bool:
-        """True if some view predicts a part of the residual, in uniform motion that does not show its form."""
+        """True if some view predicts a part of the residual, in uniform motion that does not show
+        its form.
+        """
         model = FinalModel((), final.fit.values, case.dataset.turn, self.gap.left, self.error_fall)
         return unexplained(self.shares, model).flag
 
@@ -80,8 +114,8 @@ class Comparison:
 class Conclusion:
     """What the records say.
 
-    `base`, `parameters`: of the model before the search, and of the final model with its effects. `choices`: parameters with each
-    member of a tie in place of the named effect.
+    `base`, `parameters`: of the model before the search, and of the final model with its effects.
+    `choices`: parameters with each member of a tie in place of the named effect.
 
     Others are as of `Diagnosis`.
     """
@@ -95,22 +129,30 @@ class Conclusion:
     gap: answer.Gap
     effects: tuple[answer.Named, ...]
     ties: tuple[tuple[str, ...], ...]
-    undecided: tuple[str, ...]  # members of a tie that was not resolved, or the effect that was withdrawn
+    # members of a tie that was not resolved, or the effect that was withdrawn
+    undecided: tuple[str, ...]
     base: dict[str, answer.Estimate]
     parameters: dict[str, answer.Estimate]
-    unidentified: tuple[str, ...] = ()  # the model's parameters if the records determine none of them
+    # the model's parameters if the records determine none of them
+    unidentified: tuple[str, ...] = ()
     choices: Mapping[str, Estimates] = field(default_factory=dict)
     proposal: str = ""  # wider bounds to try first, or an empty text
 
     @property
     def own_parameters(self) -> dict[str, answer.Estimate]:
         """Parameters of the final model without those of the effects that are named."""
-        return {k: v for k, v in self.parameters.items() if k.split(".")[0] not in {e.name for e in self.effects}}
+        return {
+            k: v
+            for k, v in self.parameters.items()
+            if k.split(".")[0] not in {e.name for e in self.effects}
+        }
 
 
 @dataclass(frozen=True)
 class Additions:
-    """What a workflow adds to a diagnosis: lines before and after, proposals, and the model if it is not the one searched."""
+    """What a workflow adds to a diagnosis: lines before and after, proposals, and the model if it
+    is not the one searched.
+    """
 
     statement: Sequence[str] = ()
     findings_before: Sequence[str] = ()
@@ -136,12 +178,30 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     verdict = "named" if named else unnamed(last, case.dataset.poor_excitation, left, unidentified)
     floor_unknown = left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE)
     return Conclusion(
-        "not_identifiable" if proposal else verdict, final, whole, rounds, comparison, left,
-        known_floor(comparison.gap, floor_unknown), _named(rounds, named, parameters), () if proposal else _ties(rounds),
-        undecided, base, parameters, unidentified,
-        {} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
+        "not_identifiable" if proposal else verdict,
+        final,
+        whole,
+        rounds,
+        comparison,
+        left,
+        known_floor(comparison.gap, floor_unknown),
+        _named(rounds, named, parameters),
+        () if proposal else _ties(rounds),
+        undecided,
+        base,
+        parameters,
+        unidentified,
+        (
+            {}
+            if proposal
+            else {
+                c.name: estimates(case.model, c.fit)
+                for c in choices_of(rounds, undecided, named)
+                if c.fit
+            }
+        ),
         proposal,
-    )  # fmt: skip
+    )
 
 
 def may_be_nothing(c: Conclusion) -> bool:
@@ -150,79 +210,147 @@ def may_be_nothing(c: Conclusion) -> bool:
 
 
 def without_effects(case: Case, outcome: SearchOutcome, c: Conclusion) -> SearchOutcome:
-    """Return an outcome in which the effects of a conclusion stand in for something else that is missing."""
-    first = replace(outcome.rounds[0], outcome="limit", ties=(), decision=stands_in([e.name for e in c.effects]))
+    """Return an outcome in which the effects of a conclusion stand in for something else that is
+    missing.
+    """
+    first = replace(
+        outcome.rounds[0], outcome="limit", ties=(), decision=stands_in([e.name for e in c.effects])
+    )
     return replace(outcome, final=case.base, rounds=(first,))
 
 
-def _after_withdrawal(case: Case, outcome: SearchOutcome, proposal: str) -> tuple[FittedModel, tuple[SearchRound, ...], Comparison]:
+def _after_withdrawal(
+    case: Case, outcome: SearchOutcome, proposal: str
+) -> tuple[FittedModel, tuple[SearchRound, ...], Comparison]:
     """Return final model, rounds and comparison, all effects withdrawn where they cannot be named.
 
-    That is where wider bounds (`proposal`) do as well, or where the motion is uniform and a part stays unexplained.
+    That is where wider bounds (`proposal`) do as well, or where the motion is uniform and a part
+    stays unexplained.
     """
     base, rounds = case.base, outcome.rounds
     why = "it only makes up for bounds" if proposal else ""
     if not proposal:
         comparison = Comparison.of(case, outcome.final)
         added = outcome.final is not base and rounds[0].best
-        if not (added and case.dataset.poor_excitation and comparison.closes_in_part(case, outcome.final)):
+        if not (
+            added
+            and case.dataset.poor_excitation
+            and comparison.closes_in_part(case, outcome.final)
+        ):
             return outcome.final, rounds, comparison
-        why = f"'{added.name}' reduces the error only in part, and the motion is too uniform to identify it"
+        why = (
+            f"'{added.name}' reduces the error only in part, and the motion is too uniform to"
+            " identify it"
+        )
     return base, (replace(rounds[0], outcome="withdrawn", decision=why),), Comparison.of(case, base)
 
 
 def _ties(rounds: Sequence[SearchRound]) -> tuple[tuple[str, ...], ...]:
     """Return the ties of the effects that were added, and of the last round."""
-    return tuple(tuple(sorted({r.best.name, *r.ties})) for r in rounds if r.best and r.ties and (r.named or r is rounds[-1]))
+    return tuple(
+        tuple(sorted({r.best.name, *r.ties}))
+        for r in rounds
+        if r.best and r.ties and (r.named or r is rounds[-1])
+    )
 
 
-def _named(rounds: Sequence[SearchRound], names: Sequence[str], parameters: Estimates) -> tuple[answer.Named, ...]:
+def _named(
+    rounds: Sequence[SearchRound], names: Sequence[str], parameters: Estimates
+) -> tuple[answer.Named, ...]:
     """Return the effects that are named, with gain and p of the rounds that added them."""
     by_name = {r.best.name: r for r in rounds if r.best and r.named}
     found = ((name, _of_effect(name, parameters), by_name[name]) for name in names)
-    return tuple(answer.Named(name, group(name), own, r.gain, r.null.p(name, r.gain)) for name, own, r in found)
+    return tuple(
+        answer.Named(name, group(name), own, r.gain, r.null.p(name, r.gain))
+        for name, own, r in found
+    )
 
 
 def _of_effect(name: str, parameters: Estimates) -> dict[str, answer.Estimate]:
     """Return the parameters of an effect by their short names."""
-    return {key.removeprefix(f"{name}."): e for key, e in parameters.items() if key.startswith(f"{name}.")}
+    return {
+        key.removeprefix(f"{name}."): e
+        for key, e in parameters.items()
+        if key.startswith(f"{name}.")
+    }
 
 
-def as_diagnosis(case: Case, c: Conclusion, whole: answer.WholeRecords, more: Additions) -> answer.Diagnosis:
+def as_diagnosis(
+    case: Case, c: Conclusion, whole: answer.WholeRecords, more: Additions
+) -> answer.Diagnosis:
     """Return a conclusion as it is reported, with what whole records say."""
     model, dataset = case.model, case.dataset
-    remains = NOTHING_LEFT if c.proposal else c.remains  # not known before the wider bounds are tried
+    # not known before the wider bounds are tried
+    remains = NOTHING_LEFT if c.proposal else c.remains
     poor = dataset.poor_excitation
-    facts = Facts(c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, poor, model.wording, _hindrance(c))
+    facts = Facts(
+        c.verdict,
+        c.gap,
+        remains,
+        c.effects,
+        c.ties,
+        c.parameters,
+        c.unidentified,
+        poor,
+        model.wording,
+        _hindrance(c),
+    )
     lines = (
         (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",)
         if c.proposal
         else (*statement(facts), open_loop_line(whole, dataset.segments.seconds))
     )
     found = [f for r in case.records for f in r.findings]
-    own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c), *_clock_lines(case, c)]
+    own = [
+        *bound_lines(model, c.base, c.parameters),
+        *_velocity_caveat(case, c),
+        *_clock_lines(case, c),
+    ]
     return answer.Diagnosis(
-        verdict=c.verdict, statement=(*more.statement, *lines), effects=c.effects, ties=c.ties,
-        experiment="" if c.proposal else experiment(facts), where=c.comparison.views, remains=remains, gap=c.gap,
-        excitation=excitation(model, case.records), findings=(*more.findings_before, *found, *own, *more.findings_after),
-        base=c.base, parameters=c.own_parameters, rounds=tuple(_round(r) for r in c.rounds),
-        undetected={} if c.proposal else _undetected(case, c), traces=_traces(dataset, case.base.fit, c.final.fit),
-        model=more.model or model, proposals=(c.proposal,) if c.proposal else (), whole=whole,
+        verdict=c.verdict,
+        statement=(*more.statement, *lines),
+        effects=c.effects,
+        ties=c.ties,
+        experiment="" if c.proposal else experiment(facts),
+        where=c.comparison.views,
+        remains=remains,
+        gap=c.gap,
+        excitation=excitation(model, case.records),
+        findings=(*more.findings_before, *found, *own, *more.findings_after),
+        base=c.base,
+        parameters=c.own_parameters,
+        rounds=tuple(_round(r) for r in c.rounds),
+        undetected={} if c.proposal else _undetected(case, c),
+        traces=_traces(dataset, case.base.fit, c.final.fit),
+        model=more.model or model,
+        proposals=(c.proposal,) if c.proposal else (),
+        whole=whole,
         choices={name: _of_effect(name, e) for name, e in c.choices.items()},
-        choice_parameters={name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")} for name, e in c.choices.items()},
-    )  # fmt: skip
+        choice_parameters={
+            name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")}
+            for name, e in c.choices.items()
+        },
+    )
 
 
 def _hindrance(c: Conclusion) -> str:
-    """Return why nothing can be named although something is missing for certain; empty where the motion or a tie is the reason."""
+    """Return why nothing can be named although something is missing for certain; empty where the
+    motion or a tie is the reason.
+    """
     if c.rounds[-1].outcome == "limit":
         return c.rounds[-1].decision
     if c.rounds[-1].unfinished and not c.undecided:
         so_far = f"; so far, {c.rounds[-1].decision}" if c.rounds[-1].outcome == "rejected" else ""
-        return f"the time budget was used up before {len(c.rounds[-1].unfinished)} effects were tried to the end{so_far}"
+        return (
+            f"the time budget was used up before {len(c.rounds[-1].unfinished)} effects were tried"
+            f" to the end{so_far}"
+        )
     if c.remains.disturbance > DOMINANT_DISTURBANCE and not c.undecided:
         size = f"{c.remains.disturbance:.0%} of the input"
-        return f"the model needs a disturbance of {size} to follow them; check columns, signs and units"
+        return (
+            f"the model needs a disturbance of {size} to follow them; check columns, signs and"
+            " units"
+        )
     return ""
 
 
@@ -232,14 +360,18 @@ def _unaligned(case: Case) -> bool:
 
 
 def _velocity_caveat(case: Case, c: Conclusion) -> list[str]:
-    """Return a line where an answer depends on the positions at which several records of velocities begin."""
+    """Return a line where an answer depends on the positions at which several records of velocities
+    begin.
+    """
     names = (*(e.name for e in c.effects), *c.undecided)
     depends = c.remains.flag or any(find_effect(name).position_dependent for name in names)
     return [VELOCITY_CAVEAT] if _unaligned(case) and depends else []
 
 
 def _clock_lines(case: Case, c: Conclusion) -> list[str]:
-    """Return a line on each named effect that depends on time, where each record has a clock of its own: what its time means."""
+    """Return a line on each named effect that depends on time, where each record has a clock of its
+    own: what its time means.
+    """
     given, fitted = case.dataset.segments, c.final.fit.simulator.segments
     if not given.own_clocks:
         return []
@@ -250,21 +382,26 @@ def _clock_lines(case: Case, c: Conclusion) -> list[str]:
         if timing == "course" and fitted.times == given.times:
             lines.append(begins_anew(effect.name))
         elif timing == "course":
-            lines.append(f"{effect.name} goes on from one record to the next in the order given: {', '.join(names)}")
+            lines.append(
+                f"{effect.name} goes on from one record to the next in the order given:"
+                f" {', '.join(names)}"
+            )
         elif timing == "event":
             onset = c.final.fit.values[f"{effect.name}.onset"]
             [*_, inside] = [i for i in order if fitted.times[i] <= onset] or order[:1]
             local = given.times[inside] + onset - fitted.times[inside]
             follow = ", ".join(names[i] for i in order)
             lines.append(
-                f"{effect.name} sets in at {local:.4g} s by the clock of record {names[inside]}; its onset counts time over the "
-                f"records one after the other: {follow}"
+                f"{effect.name} sets in at {local:.4g} s by the clock of record {names[inside]};"
+                f" its onset counts time over the records one after the other: {follow}"
             )
     return lines
 
 
 def _undetected(case: Case, c: Conclusion) -> dict[str, str]:
-    """Return for each effect that is neither named nor tied how large it may be without being detected."""
+    """Return for each effect that is neither named nor tied how large it may be without being
+    detected.
+    """
     last = c.rounds[-1]
     known = {*(e.name for e in c.effects), *c.undecided, *(name for tie in c.ties for name in tie)}
     added = last.best.name if last.best and last.named else ""
@@ -273,7 +410,9 @@ def _undetected(case: Case, c: Conclusion) -> dict[str, str]:
 
 
 def _with_effects(case: Case, outcome: SearchOutcome) -> Fit | None:
-    """Return the fit with the effects that were found, or with the one that stands in for something else; None without any."""
+    """Return the fit with the effects that were found, or with the one that stands in for something
+    else; None without any.
+    """
     if outcome.final.servo.effects != case.base.servo.effects:
         return outcome.final.fit
     best = outcome.rounds[-1].best
@@ -281,44 +420,71 @@ def _with_effects(case: Case, outcome: SearchOutcome) -> Fit | None:
 
 
 def wider_bounds(case: Case, found: Fit) -> str:
-    """Return a proposal where wider bounds alone explain the records better than the effects found within them, or ""."""
+    """Return a proposal where wider bounds alone explain the records better than the effects found
+    within them, or "".
+    """
     values, bounds = case.base.fit.values, case.model.bounds
-    tight = {f.name: f for f in case.base.servo.free if f.name in bounds and f.at_binding_bound(values[f.name])}
+    tight = {
+        f.name: f
+        for f in case.base.servo.free
+        if f.name in bounds and f.at_binding_bound(values[f.name])
+    }
     if not tight:
         return ""
     free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in case.base.servo.free)
     wide = fit_with_noise(case.dataset, replace(case.base.servo, free=free), values)
-    price = 0.5 * (len(found.free) - len(wide.fit.free)) * math.log(np.count_nonzero(case.dataset.train) + 1.0)
-    return "" if wide.fit.total < found.total - price else widening(case.model, tight, wide.fit.values)
+    price = (
+        0.5
+        * (len(found.free) - len(wide.fit.free))
+        * math.log(np.count_nonzero(case.dataset.train) + 1.0)
+    )
+    return (
+        "" if wide.fit.total < found.total - price else widening(case.model, tight, wide.fit.values)
+    )
 
 
 def widening(model: Model, tight: Mapping[str, Free], values: Mapping[str, float]) -> str:
-    """Return the proposal to widen those tight bounds that the values of a better fit leave, or "" if they leave none."""
+    """Return the proposal to widen those tight bounds that the values of a better fit leave, or ""
+    if they leave none.
+    """
     lines = []
     for name, f in tight.items():
         value, unit = values[name], model.unit(name)
         if not f.low <= value <= f.high:  # the others are at a bound only because of these
-            lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
+            lines.append(
+                f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]"
+            )
     better = "without any effect better than with effects within the bounds"
     return f"wider bounds, since the records fit {' and '.join(lines)}, {better}" if lines else ""
 
 
 def bound_lines(model: Model, plain: Estimates, whole: Estimates) -> list[str]:
-    """Return a line on parameters of the plain model that end at a bound, and on whether they still do with what was found."""
+    """Return a line on parameters of the plain model that end at a bound, and on whether they still
+    do with what was found.
+    """
     lines = []
     for name, e in plain.items():
         if e.at_bound:
             low, high = model.bounds.get(name, (-math.inf, math.inf))
             unit = "" if e.unit == "1" else f" {e.unit}"
-            later = "" if name not in whole or whole[name].at_bound else "; with what was found it does not"
-            advice = "none is seen in these records" if e.value == 0.0 == low else "widen it if it may be wrong"
+            later = (
+                ""
+                if name not in whole or whole[name].at_bound
+                else "; with what was found it does not"
+            )
+            advice = (
+                "none is seen in these records"
+                if e.value == 0.0 == low
+                else "widen it if it may be wrong"
+            )
             where = f"its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]"
             lines.append(f"the base refit of {name} ends at {where}{later}: {advice}")
     return lines
 
 
 def unidentified_parameters(plain: Estimates) -> tuple[str, ...]:
-    """Return the parameters of the base model if the records determine none of them to within `KNOWN_HALF_WIDTH`.
+    """Return the parameters of the base model if the records determine none of them to within
+    `KNOWN_HALF_WIDTH`.
 
     The output then hardly follows the input, and that no effect is found means nothing.
     """
@@ -331,8 +497,12 @@ def undecided_names(verdict: SearchRound) -> tuple[str, ...]:
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
-def choices_of(rounds: Sequence[SearchRound], undecided: Sequence[str], named: Sequence[str]) -> list[Candidate]:
-    """Return what may be chosen: the members of an open tie, or those that the last name stands for, if there is none."""
+def choices_of(
+    rounds: Sequence[SearchRound], undecided: Sequence[str], named: Sequence[str]
+) -> list[Candidate]:
+    """Return what may be chosen: the members of an open tie, or those that the last name stands
+    for, if there is none.
+    """
     if undecided:
         return [c for c in rounds[-1].candidates if c.name in undecided]
     v = next((v for v in reversed(rounds) if v.named), None)
@@ -342,28 +512,41 @@ def choices_of(rounds: Sequence[SearchRound], undecided: Sequence[str], named: S
 
 
 def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[str] = ()) -> str:
-    """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses.
+    """Return the verdict where nothing was named; where the motion is uniform, what shows at all
+    has many likenesses.
 
-    Where a disturbance moves the servo as much as the input does, or the best effect stands in for something else, something is
-    missing for certain.
+    Where a disturbance moves the servo as much as the input does, or the best effect stands in for
+    something else, something is missing for certain.
 
     `mute` are the model's parameters if the records tell none of them.
     """
     classes = {group(name) for name in undecided_names(last)}
     if not classes:
-        hidden = last.outcome == "limit" or bool(last.unfinished) or left.disturbance > DOMINANT_DISTURBANCE
-        return "not_identifiable" if mute or hidden or (narrow and (left.flag or last.best)) else "none"
+        hidden = (
+            last.outcome == "limit"
+            or bool(last.unfinished)
+            or left.disturbance > DOMINANT_DISTURBANCE
+        )
+        return (
+            "not_identifiable"
+            if mute or hidden or (narrow and (left.flag or last.best))
+            else "none"
+        )
     many = MOST_TIED_UNIFORM if narrow else MOST_TIED
     return "tie" if len(classes) <= many and last.outcome != "withdrawn" else "not_identifiable"
 
 
 def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
-    """Return what was measured and simulated, an average a bin, record by record, start states at their best as in the gap."""
+    """Return what was measured and simulated, an average a bin, record by record, start states at
+    their best as in the gap.
+    """
     s, traces = dataset.segments, []
     whole = np.ones(len(dataset.held_out), dtype=bool)
     left = [np.where(fit.good[:, None], errors(fit, whole), np.nan) for fit in (before, after)]
     for piece, part in zip(s.pieces, s.places, strict=True):
-        time_ = piece.time + s.h * (s.width * np.arange(piece.measured.size, dtype=np.float64) + (s.width - 1) / 2)
+        time_ = piece.time + s.h * (
+            s.width * np.arange(piece.measured.size, dtype=np.float64) + (s.width - 1) / 2
+        )
         held = np.repeat(dataset.held_out[part], s.bins)
         old, new = ((piece.measured - error[part]).ravel() for error in left)
         u = piece.u.reshape(-1, s.width).mean(axis=1)
@@ -379,7 +562,10 @@ def _refitted_to_all(dataset: Dataset, fitted: FittedModel) -> Fit:
 
 def gap_between(case: Case, final: FittedModel) -> answer.Gap:
     """Return mean squared errors on held-out segments, and what the noise alone would give."""
-    before, after = mean_square(case.base.fit, case.dataset.held_out), mean_square(final.fit, case.dataset.held_out)
+    before, after = (
+        mean_square(case.base.fit, case.dataset.held_out),
+        mean_square(final.fit, case.dataset.held_out),
+    )
     noise = final.problem.noise
     cover = np.linalg.inv(noise.whiten)
     covariance = cover @ cover.T
@@ -396,10 +582,12 @@ def gap_between(case: Case, final: FittedModel) -> answer.Gap:
 def known_floor(gap: answer.Gap, mixed: bool) -> answer.Gap:
     """Return a gap without the noise floor where that is not known.
 
-    An unexplained part of the residual (`mixed`: a large one) is taken for noise, which is then no floor; nor is it where the
-    error after the search is above the one before.
+    An unexplained part of the residual (`mixed`: a large one) is taken for noise, which is then no
+    floor; nor is it where the error after the search is above the one before.
     """
-    unknown = gap.after > gap.before or (mixed and gap.noise_floor is not None and gap.noise_floor >= gap.after)
+    unknown = gap.after > gap.before or (
+        mixed and gap.noise_floor is not None and gap.noise_floor >= gap.after
+    )
     return replace(gap, noise_floor=None) if unknown else gap
 
 
@@ -409,12 +597,21 @@ def _round(v: SearchRound) -> answer.Round:
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else math.nan
         a = c.assessment
-        tested = () if a is None else (a.error_reduction, a.predictive_gain, a.net_share, *a.deficit)
+        tested = (
+            () if a is None else (a.error_reduction, a.predictive_gain, a.net_share, *a.deficit)
+        )
         bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.reason, *tested))
     bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
     best = v.best.name if v.best else None
     top = best or (bars[0].name if bars else "")
     return answer.Round(
-        tuple(bars), v.null.level(top), v.null.p(top, v.gain), best if v.named else None, v.decision, v.gain,
-        v.assessment.error_reduction, v.finer_gain, best if v.outcome in ("rejected", "withdrawn") else None,
-    )  # fmt: skip
+        tuple(bars),
+        v.null.level(top),
+        v.null.p(top, v.gain),
+        best if v.named else None,
+        v.decision,
+        v.gain,
+        v.assessment.error_reduction,
+        v.finer_gain,
+        best if v.outcome in ("rejected", "withdrawn") else None,
+    )

@@ -1,4 +1,6 @@
-"""Unnamed torques: what the catalogue leaves unexplained, fitted and judged on segments that took no part in the fit."""
+"""Unnamed torques: what the catalogue leaves unexplained, fitted and judged on segments that took
+no part in the fit.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,11 @@ MOST_CURVES = 2  # variables that an unexplained residual is taken for a sum of 
 
 
 def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None:
-    """Return the residual that is left as a function of one variable, or as a sum of functions of two.
+    """Return the residual that is left as a function of one variable, or as a sum of functions of
+    two.
 
-    Each must lower the error on held-out segments by as much as an effect has to. None where nothing much is left, or bounds must
-    be widened first.
+    Each must lower the error on held-out segments by as much as an effect has to. None where
+    nothing much is left, or bounds must be widened first.
     """
     if not found.remains.flag or found.proposal:
         return None
@@ -38,11 +41,19 @@ def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None
     shown = tuple(curves) or ((refused[0],) if refused else ())
     values = {name: float(x) for name, x in model.fit.values.items()} if curves else {}
     return answer.UnnamedTorque(
-        shown, bool(curves), before, after, case.model.output_unit, values, _reason(refused) if not curves else ""
+        shown,
+        bool(curves),
+        before,
+        after,
+        case.model.output_unit,
+        values,
+        _reason(refused) if not curves else "",
     )
 
 
-def with_unnamed_torque(diagnosis: answer.Diagnosis, unnamed: answer.UnnamedTorque | None) -> answer.Diagnosis:
+def with_unnamed_torque(
+    diagnosis: answer.Diagnosis, unnamed: answer.UnnamedTorque | None
+) -> answer.Diagnosis:
     """Return a diagnosis with what was found of its unexplained residual."""
     if unnamed is None:
         return diagnosis
@@ -53,9 +64,15 @@ def with_unnamed_torque(diagnosis: answer.Diagnosis, unnamed: answer.UnnamedTorq
 def _reason(refused: tuple[Curve, float] | None) -> str:
     """Return why nothing is offered."""
     if refused is None:
-        return "no smooth function of velocity, position, input or time predicts anything of it in segments left out of the fit"
+        return (
+            "no smooth function of velocity, position, input or time predicts anything of it in"
+            " segments left out of the fit"
+        )
     best = f"the best function, of {view_name(refused[0].variable)},"
     if refused[1] <= 1.0:
         return f"{best} does not lower the squared error on held-out segments"
     factor = math.floor(100 * refused[1]) / 100
-    return f"{best} lowers the squared error on held-out segments by a factor of {factor:.2f} only, and {LEAST_FALL:g} is asked"
+    return (
+        f"{best} lowers the squared error on held-out segments by a factor of {factor:.2f} only,"
+        f" and {LEAST_FALL:g} is asked"
+    )

@@ -1,4 +1,6 @@
-"""The model file of a diagnosis: friction law, nominal parameters and their bounds, and what the columns hold."""
+"""The model file of a diagnosis: friction law, nominal parameters and their bounds, and what the
+columns hold.
+"""
 
 from __future__ import annotations
 
@@ -32,30 +34,34 @@ BOUND_FACTOR = 5.0  # a parameter without bounds may move by this factor either 
 NO_LIMIT = 1e6  # u_max: the measured input is what arrived, so the model must not clip it
 
 
-# -- what a file may hold ----------------------------------------------------------------------------------------------
+# -- what a file may hold --------------------------------------------------------------------------
 class ModelTable(LayoutTable):
     """A model file, checked as far as it can be without looking at the friction law."""
 
     friction: str
     """Friction law of the model."""
     parameters: dict[str, Any]
-    """Nominal value of each parameter: `J`, `a2`, those of the law and, for a voltage or current, `b`."""
+    """Nominal value of each parameter: `J`, `a2`, those of the law and, for a voltage or current,
+    `b`.
+    """
     bounds: dict[str, Any] | None = None
-    """[least, greatest] of each parameter that may change; the others stay. Without it inertia, viscous friction and the levels of
-    dry friction may change by a factor of 5 either way."""
+    """[least, greatest] of each parameter that may change; the others stay. Without it inertia,
+    viscous friction and the levels of dry friction may change by a factor of 5 either way."""
     effects: dict[str, dict[str, Given]] = Field(default={})
     """Effects that the model has already, each a table `[effects.NAME]` of its parameters."""
     variables: dict[str, str | dict[str, str | float]] = Field(default={})
-    """Names of a plant FMU's variables where they are not u, theta and v, by these: `u = "voltage"`, or
-    `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one of its number is worth in that."""
+    """Names of a plant FMU's variables where they are not u, theta and v, by these: `u =
+    "voltage"`, or `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one
+    of its number is worth in that."""
 
 
-# -- the model -----------------------------------------------------------------------------------------------------------
+# -- the model -------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Model(Layout):
     """A model of the servo that was measured, and the layout of its records.
 
-    All numbers are in SI, all names those of `bristle.plant.servo`. A torque or a force as input acts with b = 1.
+    All numbers are in SI, all names those of `bristle.plant.servo`. A torque or a force as input
+    acts with b = 1.
 
     Attributes
     ----------
@@ -66,9 +72,11 @@ class Model(Layout):
     bounds : dict of str to (float, float)
         Which of these may move, and how far; the others stay.
     effects : dict of str to dict
-        Effects that the model has already: values of their parameters, without the effect's name before them.
+        Effects that the model has already: values of their parameters, without the effect's name
+        before them.
     variables : dict of str to str or dict
-        How a plant FMU calls u, theta and v, where it does otherwise, as `bristle.fmus.alias.alias` takes it.
+        How a plant FMU calls u, theta and v, where it does otherwise, as `bristle.fmus.alias.alias`
+        takes it.
     path : Path or None
         The file it came from.
     """
@@ -87,15 +95,24 @@ class Model(Layout):
 
     @property
     def values(self) -> dict[str, float]:
-        """Nominal values of all parameters, those of the effects that it has already included (``gravity.amplitude``)."""
-        return {**self.parameters, **{f"{e}.{p}": x for e, values in self.effects.items() for p, x in values.items()}}
+        """Nominal values of all parameters, those of the effects that it has already included
+        (``gravity.amplitude``).
+        """
+        return {
+            **self.parameters,
+            **{f"{e}.{p}": x for e, values in self.effects.items() for p, x in values.items()},
+        }
 
     def unit(self, name: str) -> str:
-        """Return the SI unit of a parameter of the servo, of the law or of any effect (``cogging.amplitude``)."""
+        """Return the SI unit of a parameter of the servo, of the law or of any effect
+        (``cogging.amplitude``).
+        """
         return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
 
     def unit_in_fmu(self, name: str, unit: str) -> str:
-        """Return the unit of a variable of a plant FMU, from its name and its unit in ServoPlant."""
+        """Return the unit of a variable of a plant FMU, from its name and its unit in
+        ServoPlant.
+        """
         return unit_on(name, unit, self.linear, self.input_kind)
 
     def allowed(self, name: str) -> tuple[float, float]:
@@ -104,7 +121,8 @@ class Model(Layout):
         return declared.minimum, declared.maximum
 
     def settings(self, parameters: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return what a servo of this law and these effects is set to: `parameters` in place of the nominal ones.
+        """Return what a servo of this law and these effects is set to: `parameters` in place of the
+        nominal ones.
 
         The input is never clipped (u_max), and b is 1 where the input is a torque or a force.
         """
@@ -112,9 +130,14 @@ class Model(Layout):
 
     @classmethod
     def from_dict(cls, tree: Mapping[str, Any], where: Path | str = "model") -> Model:
-        """Return the model that a tree such as a model file's describes; `BristleError`, one line, begins with `where`."""
+        """Return the model that a tree such as a model file's describes; `BristleError`, one line,
+        begins with `where`.
+        """
         if not isinstance(tree, Mapping):
-            raise BristleError(f"{where}: is a {type(tree).__name__}; give a dict such as tomllib.load returns, or use load_model")
+            raise BristleError(
+                f"{where}: is a {type(tree).__name__}; give a dict such as tomllib.load returns, or"
+                " use load_model"
+            )
         try:
             table = ModelTable.model_validate(dict(tree))
         except ValidationError as error:
@@ -125,7 +148,10 @@ class Model(Layout):
 def must_be_model(model: object) -> None:
     """Raise `BristleError` where something else is given for a model, its path say."""
     if not isinstance(model, Model):
-        raise BristleError(f"the model is a {type(model).__name__}; give what load_model or Model.from_dict returns")
+        raise BristleError(
+            f"the model is a {type(model).__name__}; give what load_model or Model.from_dict"
+            " returns"
+        )
 
 
 def load_model(path: Path | str) -> Model:
@@ -143,7 +169,10 @@ def load_model(path: Path | str) -> Model:
     """
     path = as_path("model", path)
     if path.suffix.lower() in READERS:
-        raise BristleError(f"{path}: is a file of records, not a model file; the model (TOML) comes first, then the records")
+        raise BristleError(
+            f"{path}: is a file of records, not a model file; the model (TOML) comes first, then"
+            " the records"
+        )
     _, tree = read_toml(path, "model file")
     if "observer" in tree:
         raise BristleError(f"{path}: is a scenario file, no model file; give it to bristle run")
@@ -151,22 +180,29 @@ def load_model(path: Path | str) -> Model:
 
 
 def si_unit(unit: str, linear: bool, kind: str) -> str:
-    """Return a declared unit as it is for a linear axis (kg for kg.m2, m for rad) and for an input that is no voltage."""
+    """Return a declared unit as it is for a linear axis (kg for kg.m2, m for rad) and for an input
+    that is no voltage.
+    """
     if linear:
         unit = re.sub(r"kg\.m2", "kg", unit)
         unit = re.sub(r"N\.m(?![A-Za-z0-9])", "N", unit)
         unit = re.sub(r"(?<![A-Za-z])rad", "m", unit)
     unit = re.sub(r"(?<![A-Za-z])V(?![A-Za-z])", INPUT_UNITS[kind], unit)
-    return "1" if not any(parse_unit(unit).exponents) else unit  # as of the gain of an input that is a torque
+    # as of the gain of an input that is a torque
+    return "1" if not any(parse_unit(unit).exponents) else unit
 
 
 def own_unit(parameter: Parameter, linear: bool, kind: str) -> str:
-    """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear axis, too."""
+    """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear
+    axis, too.
+    """
     return unit_on(parameter.name, parameter.unit, linear, kind)
 
 
 def unit_on(full_name: str, unit: str, linear: bool, kind: str) -> str:
-    """Return the unit of a variable of the servo on such a rig, from its name and its unit on a shaft driven by a voltage."""
+    """Return the unit of a variable of the servo on such a rig, from its name and its unit on a
+    shaft driven by a voltage.
+    """
     name = full_name.rpartition(".")[2]
     if linear and name in {e.periods for e in all_effects().values()}:
         return "rad/m"
@@ -180,14 +216,22 @@ def _may_have() -> dict[str, Effect]:
 
 def _declared(friction: str) -> dict[str, Parameter]:
     """Return the parameters of the servo, the law and all effects by name."""
-    own = (J, A2, B, *find_law(friction).parameters, *(p for e in _may_have().values() for p in e.parameters))
+    own = (
+        J,
+        A2,
+        B,
+        *find_law(friction).parameters,
+        *(p for e in _may_have().values() for p in e.parameters),
+    )
     return {p.name: p for p in own}
 
 
-# -- from the file to the model ------------------------------------------------------------------------------------------
+# -- from the file to the model --------------------------------------------------------------------
 @dataclass(frozen=True)
 class _File:
-    """What the numbers of a model file are checked against: the friction law, the parameters it may name, the rig."""
+    """What the numbers of a model file are checked against: the friction law, the parameters it may
+    name, the rig.
+    """
 
     where: Path | str
     law: FrictionLaw
@@ -203,23 +247,36 @@ class _File:
             if full in self.names:
                 return full
         if name == "b":
-            message = "only an input of kind voltage or current has a gain; remove b, or correct input.kind"
+            message = (
+                "only an input of kind voltage or current has a gain; remove b, or correct"
+                " input.kind"
+            )
             raise self.mistake(f"{key}.b", value, message)
         short = [full.removeprefix(f"{self.law.name}.") for full in self.names]
-        message = f"no parameter of law '{self.law.name}'{suggest(name, short)}; there are: {', '.join(short)}"
+        message = (
+            f"no parameter of law '{self.law.name}'{suggest(name, short)}; there are:"
+            f" {', '.join(short)}"
+        )
         raise self.mistake(f"{key}.{name}", value, message)
 
     def number(self, key: str, value: object, parameter: Parameter) -> float:
         """Return a value in SI, which a bare number is already, inside the parameter's interval."""
         unit = own_unit(parameter, self.layout.linear, self.layout.input_kind)
         if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-            raise self.mistake(key, value, f'must be a number [{unit}] or text such as "1 {unit}"; change the value')
+            raise self.mistake(
+                key,
+                value,
+                f'must be a number [{unit}] or text such as "1 {unit}"; change the value',
+            )
         try:
             number = _quantity(value, unit) if isinstance(value, str) else float(value)
         except BristleError as error:
             raise self.mistake(key, value, str(error)) from None
         if not parameter.minimum <= number <= parameter.maximum:
-            message = f"outside {interval(parameter.minimum, parameter.maximum, unit)}; choose a value in that interval"
+            message = (
+                f"outside {interval(parameter.minimum, parameter.maximum, unit)}; choose a value in"
+                " that interval"
+            )
             raise self.mistake(key, value, f"{message} ({parameter.description})")
         return number
 
@@ -227,13 +284,20 @@ class _File:
 def _model(table: ModelTable, where: Path | str) -> Model:
     known = law_names()
     if table.friction not in known:
-        message = f"unknown friction law{suggest(table.friction, known)}; choose one of: {', '.join(known)}"
+        message = (
+            f"unknown friction law{suggest(table.friction, known)}; choose one of:"
+            f" {', '.join(known)}"
+        )
         raise mistake(where, "friction", table.friction, message)
     law, layout = find_law(table.friction), layout_of(table, where)
     gain = () if layout.input_kind in ("torque", "force") else (B,)
     file = _File(where, law, {p.name: p for p in (J, A2, *gain, *law.parameters)}, layout)
     parameters = _parameters(file, table.parameters)
-    bounds = default_bounds(law, parameters) if table.bounds is None else _bounds(file, table.bounds, parameters)
+    bounds = (
+        default_bounds(law, parameters)
+        if table.bounds is None
+        else _bounds(file, table.bounds, parameters)
+    )
     effects = {name: _effect(file, name, given) for name, given in table.effects.items()}
     if effects:
         try:
@@ -242,9 +306,14 @@ def _model(table: ModelTable, where: Path | str) -> Model:
             raise mistake(where, "effects", None, str(error)) from None
     path = where if isinstance(where, Path) else None
     return Model(
-        friction=table.friction, parameters=parameters, bounds=bounds, effects=effects, variables=table.variables, path=path,
+        friction=table.friction,
+        parameters=parameters,
+        bounds=bounds,
+        effects=effects,
+        variables=table.variables,
+        path=path,
         **vars(layout),
-    )  # fmt: skip
+    )
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -262,7 +331,9 @@ def _quantity(text: str, unit: str) -> float:
 
 
 def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
-    """Return all nominal values; what is missing is refused, but for parameters that are optional or 0 by default."""
+    """Return all nominal values; what is missing is refused, but for parameters that are optional
+    or 0 by default.
+    """
     found: dict[str, float] = {}
     for name, value in _flat(given):
         full = file.full_name("parameters", name, value)
@@ -272,36 +343,61 @@ def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
     for name, parameter in file.names.items():
         if name not in found:
             if parameter.default != 0.0 and not parameter.optional:
-                why = f", which an input of kind '{file.layout.input_kind}' needs" if name == "b" else ""
-                raise file.mistake(f"parameters.{name}", None, f"missing; add it ({parameter.description}{why})")
+                why = (
+                    f", which an input of kind '{file.layout.input_kind}' needs"
+                    if name == "b"
+                    else ""
+                )
+                raise file.mistake(
+                    f"parameters.{name}", None, f"missing; add it ({parameter.description}{why})"
+                )
             found[name] = parameter.default
     return found
 
 
-def _bounds(file: _File, given: Mapping[str, Any], parameters: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def _bounds(
+    file: _File, given: Mapping[str, Any], parameters: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
     found: dict[str, tuple[float, float]] = {}
     for name, value in _flat(given):
         full, key = file.full_name("bounds", name, value), f"bounds.{name}"
         if not isinstance(value, (list, tuple)) or len(value) != 2:
-            raise file.mistake(key, value, "must be two numbers, [lowest, highest]; leave it out to keep the parameter fixed")
+            raise file.mistake(
+                key,
+                value,
+                "must be two numbers, [lowest, highest]; leave it out to keep the parameter fixed",
+            )
         if full in found:
             raise file.mistake(key, value, f"{full} is given twice; give it once")
-        low, high = (file.number(f"{key}[{k}]", each, file.names[full]) for k, each in enumerate(value))
+        low, high = (
+            file.number(f"{key}[{k}]", each, file.names[full]) for k, each in enumerate(value)
+        )
         if low >= high:
-            raise file.mistake(key, list(value), "must rise; write [lowest, highest], or leave it out to keep the parameter fixed")
+            raise file.mistake(
+                key,
+                list(value),
+                "must rise; write [lowest, highest], or leave it out to keep the parameter fixed",
+            )
         nominal = parameters[full]
         if not low <= nominal <= high:
-            raise file.mistake(key, list(value), f"the nominal value {nominal:g} lies outside; widen the bounds or correct it")
+            raise file.mistake(
+                key,
+                list(value),
+                f"the nominal value {nominal:g} lies outside; widen the bounds or correct it",
+            )
         found[full] = (low, high)
     return found
 
 
-def default_bounds(law: FrictionLaw, parameters: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def default_bounds(
+    law: FrictionLaw, parameters: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
     """Return the bounds of a model that gives none.
 
-    J, a2 and the levels of the law's friction (its parameters in N.m, or in 1/s2 where it is normalised) move by a factor
-    of `BOUND_FACTOR` either way, down to 0 where 0 is allowed. What is nominally 0 has no scale to move on, and stays; so does
-    b, because an input's gain and all other parameters share one factor.
+    J, a2 and the levels of the law's friction (its parameters in N.m, or in 1/s2 where it is
+    normalised) move by a factor of `BOUND_FACTOR` either way, down to 0 where 0 is allowed. What is
+    nominally 0 has no scale to move on, and stays; so does b, because an input's gain and all other
+    parameters share one factor.
     """
     levels = [p for p in law.parameters if p.unit in ("N.m", "1/s2")]
     found = {}
@@ -322,29 +418,45 @@ def _effect(file: _File, name: str, given: Mapping[str, Given]) -> dict[str, flo
     values = {}
     for key, value in given.items():
         if key not in own:
-            message = f"no parameter of effect '{name}'{suggest(key, list(own))}; there are: {', '.join(own)}"
+            message = (
+                f"no parameter of effect '{name}'{suggest(key, list(own))}; there are:"
+                f" {', '.join(own)}"
+            )
             raise file.mistake(f"effects.{name}.{key}", value, message)
         values[key] = file.number(f"effects.{name}.{key}", value, own[key])
     for key, parameter in own.items():
         if key not in values:
             if parameter.default != 0.0 and key not in known[name].shape_parameters:
-                raise file.mistake(f"effects.{name}.{key}", None, f"missing; add it ({parameter.description})")
+                raise file.mistake(
+                    f"effects.{name}.{key}", None, f"missing; add it ({parameter.description})"
+                )
             values[key] = parameter.default
     return values
 
 
-# -- and back ------------------------------------------------------------------------------------------------------------
+# -- and back --------------------------------------------------------------------------------------
 def model_text(model: Model) -> str:
-    """Return a model file that reads back as this model; numbers in full precision, units as comments."""
+    """Return a model file that reads back as this model; numbers in full precision, units as
+    comments.
+    """
     short = {name: name.removeprefix(f"{model.friction}.") for name in model.parameters}
     lines = [f"friction = {quoted(model.friction)}", "", "[parameters]"]
-    lines += [f"{_key(short[name])} = {float(value)!r}  # {model.unit(name)}" for name, value in model.parameters.items()]
+    lines += [
+        f"{_key(short[name])} = {float(value)!r}  # {model.unit(name)}"
+        for name, value in model.parameters.items()
+    ]
     lines += ["", "[bounds]"]
-    lines += [f"{_key(short[name])} = [{float(low)!r}, {float(high)!r}]" for name, (low, high) in model.bounds.items()]
+    lines += [
+        f"{_key(short[name])} = [{float(low)!r}, {float(high)!r}]"
+        for name, (low, high) in model.bounds.items()
+    ]
     lines += ["", *layout_lines(model)]
     for effect, values in model.effects.items():
         lines += ["", f"[effects.{effect}]"]
-        lines += [f"{_key(name)} = {float(value)!r}  # {model.unit(f'{effect}.{name}')}" for name, value in values.items()]
+        lines += [
+            f"{_key(name)} = {float(value)!r}  # {model.unit(f'{effect}.{name}')}"
+            for name, value in values.items()
+        ]
     return "\n".join([*lines, ""])
 
 

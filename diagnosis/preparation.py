@@ -11,11 +11,29 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
-from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Grid, Segments, cut, motion, smooth
-from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_several_starts, has_diverged
+from bristle.diagnosis.estimation.dataset import (
+    STATE_SMOOTHING,
+    Dataset,
+    Grid,
+    Segments,
+    cut,
+    motion,
+    smooth,
+)
+from bristle.diagnosis.estimation.fitted_model import (
+    FittedModel,
+    fit_from_several_starts,
+    has_diverged,
+)
 from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters
+from bristle.diagnosis.estimation.simulator import (
+    BRISTLE_EFFECTS,
+    OWN_BRISTLES,
+    Free,
+    Servo,
+    free_parameters,
+)
 from bristle.diagnosis.modelfile import NO_LIMIT, Model
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effects
@@ -31,14 +49,16 @@ SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many 
 SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
-BRISTLE_DEFLECTION = 0.25  # of the sensor's step: largest deflection of the bristles of rigid friction
+# of the sensor's step: largest deflection of the bristles of rigid friction
+BRISTLE_DEFLECTION = 0.25
 
 
 def segment_seconds(model: Model, records: Sequence[Record]) -> float:
-    """Return how long segments are [s]: as many of the servo's nominal time constants J/a2 as usual, to within a factor of 2.
+    """Return how long segments are [s]: as many of the servo's nominal time constants J/a2 as
+    usual, to within a factor of 2.
 
-    In a small part of a time constant the motion shows little of what acts on it. The nominal a2 is rough, but one that was fitted
-    would make up for what the model lacks.
+    In a small part of a time constant the motion shows little of what acts on it. The nominal a2 is
+    rough, but one that was fitted would make up for what the model lacks.
     """
     h, whole, a2 = records[0].h, sum(len(r) * r.h for r in records), model.parameters.get("a2", 0.0)
     if not a2 > 0:
@@ -52,7 +72,9 @@ def segment_seconds(model: Model, records: Sequence[Record]) -> float:
 
 
 def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = None) -> Dataset:
-    """Return the records as segments of so many seconds, by default of a length for this servo, with their smoothed motion."""
+    """Return the records as segments of so many seconds, by default of a length for this servo,
+    with their smoothed motion.
+    """
     seconds = seconds or segment_seconds(model, records)
     h, velocity = records[0].h, model.output_kind == "velocity"
     length = max(8, round(seconds / h))
@@ -60,7 +82,9 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     bins = length // width
     long = [r for r in records if len(r) >= 3 * length]
     if not long:
-        raise BristleError(f"records: none lasts three segments of {length * h:g} s; give longer ones")
+        raise BristleError(
+            f"records: none lasts three segments of {length * h:g} s; give longer ones"
+        )
     resolution = model.resolution or max(r.resolution or 0.0 for r in records)
     noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
     resolution, grid = resolution or max(noise, 1e-12), Grid(h, width, bins, velocity)
@@ -71,47 +95,80 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     shown = excitation(model, records)
     excluded = excluded_effects(model, shown["lacks"])
     return Dataset(
-        segments, moved, resolution, least, shown["narrow"], excluded, model.linear,
-        float(np.ptp(moved.theta)) if model.linear else 2 * math.pi, h >= SLOW_SAMPLING and not any(r.ahead for r in records),
-    )  # fmt: skip
+        segments,
+        moved,
+        resolution,
+        least,
+        shown["narrow"],
+        excluded,
+        model.linear,
+        float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
+        h >= SLOW_SAMPLING and not any(r.ahead for r in records),
+    )
 
 
 def recorded_motion(dataset: Dataset) -> RecordedMotion:
     """Return what effects derive the limits of their parameters from."""
     m, s = dataset.motion, dataset.segments
     time = dataset.time_at(s.consecutive(range(len(s.pieces)))) if s.own_clocks else m.time
-    return RecordedMotion(m.theta, m.v, m.u, time, dataset.turn, dataset.segments.seconds, dataset.linear)
+    return RecordedMotion(
+        m.theta, m.v, m.u, time, dataset.turn, dataset.segments.seconds, dataset.linear
+    )
 
 
 def limits(dataset: Dataset) -> dict[str, tuple[float, float]]:
     """Return how far parameters of effects may move on this axis and in these records."""
     m = recorded_motion(dataset)
-    return {key: ends for e in effects().values() if e.limits for key, ends in e.by_full_name(e.limits(m)).items()}
+    return {
+        key: ends
+        for e in effects().values()
+        if e.limits
+        for key, ends in e.by_full_name(e.limits(m)).items()
+    }
 
 
 def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
-    """Return the intervals of parameters outside which an effect needs a stronger likelihood gain."""
+    """Return the intervals of parameters outside which an effect needs a stronger likelihood
+    gain.
+    """
     m = recorded_motion(dataset)
-    return {key: ends for e in effects().values() if e.credible for key, ends in e.by_full_name(e.credible(m)).items()}
+    return {
+        key: ends
+        for e in effects().values()
+        if e.credible
+        for key, ends in e.by_full_name(e.credible(m)).items()
+    }
 
 
 def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, str]:
-    """Return the effects that are no candidates, each with the reason: the servo of a model cannot lack them, the sensor cannot
-    show them, or the records lack (`lacks`) what they need."""
+    """Return the effects that are no candidates, each with the reason: the servo of a model cannot
+    lack them, the sensor cannot show them, or the records lack (`lacks`) what they need."""
     law = find_law(model.friction)
-    found = {e.name: reason for e in effects().values() if e.excluded and (reason := e.excluded(law))}
+    found = {
+        e.name: reason for e in effects().values() if e.excluded and (reason := e.excluded(law))
+    }
     turning = [e.name for e in effects().values() if e.once_per_turn and model.linear]
     found |= {name: "needs a shaft that turns: this axis is linear" for name in turning}
     if model.output_kind == "velocity":
-        found |= {e.name: "needs a measured position: the output is a velocity" for e in effects().values() if e.follow}
+        found |= {
+            e.name: "needs a measured position: the output is a velocity"
+            for e in effects().values()
+            if e.follow
+        }
     lacking = {e.name: [need for need in e.needs if need in lacks] for e in effects().values()}
-    return found | {name: f"the records lack {' and '.join(needs)}" for name, needs in lacking.items() if needs}
+    return found | {
+        name: f"the records lack {' and '.join(needs)}" for name, needs in lacking.items() if needs
+    }
 
 
 def fixed_values(h: float) -> dict[str, float]:
     """Return the settings of the simulation for a sampling period."""
     step = h / math.ceil(h / LONGEST_INTERNAL_STEP - 1e-9)
-    return {"solver.friction_step": step, "solver.tolerance": SMOOTH_LAW_TOLERANCE, "u_max": NO_LIMIT}
+    return {
+        "solver.friction_step": step,
+        "solver.tolerance": SMOOTH_LAW_TOLERANCE,
+        "u_max": NO_LIMIT,
+    }
 
 
 def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, float]]:
@@ -124,7 +181,10 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
     for name, (low, high) in model.bounds.items():
         doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
         free.append(Free(name, low, high, nominal=given[name], prior_sd=doubt))
-    values, dry = dict(given), f"{model.friction}.Fc" in given and not find_law(model.friction).states
+    values, dry = (
+        dict(given),
+        f"{model.friction}.Fc" in given and not find_law(model.friction).states,
+    )
     rigid = dry and not set(model.effects) & set(BRISTLE_EFFECTS)
     if dry:
         step = dataset.resolution * (s.h if s.velocity else 1.0)  # of the sensor, in position
@@ -132,35 +192,64 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         damping = (3 * least * given["J"]) ** 0.5
         values |= {f"{OWN_BRISTLES}.stiffness": 3 * least, f"{OWN_BRISTLES}.damping": damping}
         if rigid:
-            free.append(Free(f"{OWN_BRISTLES}.stiffness", least, 1e4 * least, True, math.log(3 * least), 1.0))
-            free.append(Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
+            free.append(
+                Free(
+                    f"{OWN_BRISTLES}.stiffness", least, 1e4 * least, True, math.log(3 * least), 1.0
+                )
+            )
+            free.append(
+                Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping)
+            )
     for effect, own in model.effects.items():
         values |= {f"{effect}.{name}": value for name, value in own.items()}
         free += [] if effect in UNNAMED_TORQUES else _prior_around(effect, own)
     servo = Servo(
-        model.friction, tuple(model.effects), tuple(model.bounds), tuple(free), fixed_values(s.h), rigid, limits(dataset),
+        model.friction,
+        tuple(model.effects),
+        tuple(model.bounds),
+        tuple(free),
+        fixed_values(s.h),
+        rigid,
+        limits(dataset),
         credible(dataset),
-    )  # fmt: skip
+    )
     return servo, values
 
 
 def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
-    """Give the free parameters of an effect that the model has already, each with a wide prior around its value there.
+    """Give the free parameters of an effect that the model has already, each with a wide prior
+    around its value there.
 
-    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays fixed.
+    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never
+    reached, stays fixed.
     """
-    inactive = {key for key, value in effects()[effect].inactive_values.items() if given[key.removeprefix(f"{effect}.")] == value}
-    for f in free_parameters(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive}, {}):
+    inactive = {
+        key
+        for key, value in effects()[effect].inactive_values.items()
+        if given[key.removeprefix(f"{effect}.")] == value
+    }
+    for f in free_parameters(
+        effect,
+        {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive},
+        {},
+    ):
         value = given[f.name.removeprefix(f"{effect}.")]
         nominal = math.log(value) if f.factor else value
-        yield replace(f, nominal=nominal, prior_sd=1.0 if f.factor else 2.0 * abs(value)) if value else f
+        yield (
+            replace(f, nominal=nominal, prior_sd=1.0 if f.factor else 2.0 * abs(value))
+            if value
+            else f
+        )
 
 
-def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> tuple[Dataset, FittedModel, list[str]]:
-    """Return the records in segments that the model can follow, the model fitted to them, and findings.
+def prepare_model(
+    model: Model, records: Sequence[Record], dataset: Dataset
+) -> tuple[Dataset, FittedModel, list[str]]:
+    """Return the records in segments that the model can follow, the model fitted to them, and
+    findings.
 
-    The simulation of a light servo in a stiff loop diverges from the measured motion as soon as anything is missing, and its
-    residual does not show what. Shorter segments prevent that.
+    The simulation of a light servo in a stiff loop diverges from the measured motion as soon as
+    anything is missing, and its residual does not show what. Shorter segments prevent that.
     """
     usual = asked = dataset.segments.seconds
     base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
@@ -168,14 +257,22 @@ def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> 
         asked /= 2
         shorter = dataset_of(model, records, asked)
         if shorter.segments.seconds < dataset.segments.seconds:
-            dataset, base = shorter, fit_from_several_starts(shorter, *base_servo_of(model, shorter))
+            dataset, base = (
+                shorter,
+                fit_from_several_starts(shorter, *base_servo_of(model, shorter)),
+            )
     seconds = dataset.segments.seconds
-    line = f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
+    line = (
+        f"the simulation diverges from these records within {usual:.3g} s: segments of"
+        f" {seconds:.3g} s were compared instead"
+    )
     return dataset, base, [line] if seconds < usual else []
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
-    """Return the mean squared error of a servo as it is [output squared]; NaN if every simulation of a segment fails."""
+    """Return the mean squared error of a servo as it is [output squared]; NaN if every simulation
+    of a segment fails.
+    """
     s = dataset.segments
     problem = Problem.of(s, white_noise(s.bins, 1.0), s.counted)
     fit = evaluate(problem, Point(servo.simulator(s), servo.free, dict(values), s.initial))

@@ -1,4 +1,6 @@
-"""A model file proposed from measured files alone: which columns to take, and rough parameters from a regression."""
+"""A model file proposed from measured files alone: which columns to take, and rough parameters from
+a regression.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from bristle.common.units import interval
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import CLEARER_RATIO
 from bristle.diagnosis.checks.records import NEEDS
-from bristle.diagnosis.checks.torque_regression import Regression, Rows, explained_share, regress, regression_rows
+from bristle.diagnosis.checks.torque_regression import (
+    Regression,
+    Rows,
+    explained_share,
+    regress,
+    regression_rows,
+)
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, candidates, fitted
@@ -32,10 +40,14 @@ BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
 LEVEL_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
 DIGITS = 3  # of a rough parameter
-BETTER_RATIO = 2.0  # factor by which another pair must explain more than the one that the names propose
-SAME_CORRELATION = 0.999  # of two columns: they are one quantity, a reference and what follows it, and no input and output
+# factor by which another pair must explain more than the one that the names propose
+BETTER_RATIO = 2.0
+# of two columns: they are one quantity, a reference and what follows it, and no input and output
+SAME_CORRELATION = 0.999
 MOST_PAIRS = 40  # pairs of input and output that are compared by regression
-LEAST_SHARE = 0.5  # of the input: what its motion must explain of one that its name proposes, else all columns are compared
+# of the input: what its motion must explain of one that its name proposes, else all columns are
+# compared
+LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -71,7 +83,8 @@ class Proposal:
     excitation : dict
         What the records excite, as a diagnosis reports it.
     differences : bool
-        Whether the output is a velocity that is the difference of a position's readings; the records hold that position then.
+        Whether the output is a velocity that is the difference of a position's readings; the
+        records hold that position then.
     """
 
     paths: tuple[Path, ...]
@@ -89,9 +102,11 @@ class Proposal:
 
 @dataclass(frozen=True)
 class _Reading:
-    """Input and output as they may be, the records read so, and the share of the input that inertia and friction explain.
+    """Input and output as they may be, the records read so, and the share of the input that inertia
+    and friction explain.
 
-    `turned` is the share with the input's sign turned, and 0 where the input does work on the servo: its sign is right then.
+    `turned` is the share with the input's sign turned, and 0 where the input does work on the
+    servo: its sign is right then.
     """
 
     input: Candidate
@@ -135,12 +150,17 @@ def propose(
     files = Files(tables, dict(units or {}))
     if unknown := [name for name in files.units if name not in files.names]:
         raise BristleError(
-            f"unit of '{unknown[0]}': is no column of numbers in every file; there are: {', '.join(files.names[:20])}"
+            f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
+            f" {', '.join(files.names[:20])}"
         )
     times = candidates(files, "time", asked.get("time"))
-    taken = {role: name for role, name in asked.items() if role != "time"} | {"time": times[0].column.column}
+    taken = {role: name for role, name in asked.items() if role != "time"} | {
+        "time": times[0].column.column
+    }
     inputs, outputs = (
-        candidates(files, role, asked.get(role), [name for other, name in taken.items() if other != role])
+        candidates(
+            files, role, asked.get(role), [name for other, name in taken.items() if other != role]
+        )
         for role in ("input", "output")
     )
     best, doubts = _best(tables, times[0], inputs, outputs)
@@ -152,11 +172,28 @@ def propose(
         "output": _other(outputs, best.output),
     }
     model = model_of(best.layout, rough)
-    said = (*times[0].doubts, *best.input.doubts, *best.output.doubts, *doubts, *sign_doubt, *rough_doubts, *_one_sign(best))
+    said = (
+        *times[0].doubts,
+        *best.input.doubts,
+        *best.output.doubts,
+        *doubts,
+        *sign_doubt,
+        *rough_doubts,
+        *_one_sign(best),
+    )
     return Proposal(
-        tuple(listed), times[0], best.input, best.output, others, rough, tuple(dict.fromkeys(said)), tuple(best.records),
-        best.share, excitation(model, best.records), best.layout.differences,
-    )  # fmt: skip
+        tuple(listed),
+        times[0],
+        best.input,
+        best.output,
+        others,
+        rough,
+        tuple(dict.fromkeys(said)),
+        tuple(best.records),
+        best.share,
+        excitation(model, best.records),
+        best.layout.differences,
+    )
 
 
 def _other(found: Sequence[Candidate], chosen: Candidate) -> tuple[Candidate, ...]:
@@ -174,16 +211,23 @@ def model_of(layout: Layout, rough: Mapping[str, Rough]) -> Model:
     full = {"Fc": "coulomb.Fc"}
     gain = {} if layout.input_kind in ("torque", "force") else {"b": 1.0}
     return Model(
-        friction="coulomb", parameters={full.get(name, name): x for name, x in values.items()} | gain,
-        bounds={full.get(name, name): ends for name, ends in bounds.items()}, **vars(layout),
-    )  # fmt: skip
+        friction="coulomb",
+        parameters={full.get(name, name): x for name, x in values.items()} | gain,
+        bounds={full.get(name, name): ends for name, ends in bounds.items()},
+        **vars(layout),
+    )
 
 
-# -- which columns -------------------------------------------------------------------------------------------------------
+# -- which columns ---------------------------------------------------------------------------------
 def _best(
-    tables: Mapping[Path, Columns], time: Candidate, inputs: Sequence[Candidate], outputs: Sequence[Candidate]
+    tables: Mapping[Path, Columns],
+    time: Candidate,
+    inputs: Sequence[Candidate],
+    outputs: Sequence[Candidate],
 ) -> tuple[_Reading, list[str]]:
-    """Return the likeliest pair by name and, among equal ones, by the share of the torque that it explains."""
+    """Return the likeliest pair by name and, among equal ones, by the share of the torque that it
+    explains.
+    """
     first = [each for each in inputs if each.rank == inputs[0].rank]
     last = [each for each in outputs if each.rank == outputs[0].rank]
     readings = _readings(tables, time, first, last)
@@ -201,21 +245,30 @@ def _best(
         if rivals:
             name, share = next(iter(rivals.items()))
             doubts.append(
-                f"{len(rivals) + 1} columns may be the {role}: '{chosen}' is taken, with which inertia and friction explain "
-                f"{best.best:.0%} of the input; with '{name}' {share:.0%}"
+                f"{len(rivals) + 1} columns may be the {role}: '{chosen}' is taken, with which"
+                f" inertia and friction explain {best.best:.0%} of the input; with '{name}'"
+                f" {share:.0%}"
             )
     if best.best < LEAST_SHARE:
-        doubts.append(f"inertia and friction explain only {best.best:.0%} of the input: are these the right columns?")
+        doubts.append(
+            f"inertia and friction explain only {best.best:.0%} of the input: are these the right"
+            " columns?"
+        )
     return best, doubts
 
 
 def _readings(
-    tables: Mapping[Path, Columns], time: Candidate, inputs: Sequence[Candidate], outputs: Sequence[Candidate]
+    tables: Mapping[Path, Columns],
+    time: Candidate,
+    inputs: Sequence[Candidate],
+    outputs: Sequence[Candidate],
 ) -> list[_Reading]:
     """Return the readings of all pairs that can be records, the one that explains most first."""
     readings, problem = [], None
     same = _same_quantity(tables)
-    pairs = [(u, y) for u, y in product(inputs, outputs) if not same(u.column.column, y.column.column)]
+    pairs = [
+        (u, y) for u, y in product(inputs, outputs) if not same(u.column.column, y.column.column)
+    ]
     for u, y in pairs[:MOST_PAIRS]:
         try:
             readings.append(_reading(tables, time, u, y))
@@ -223,7 +276,9 @@ def _readings(
             problem = problem or error
     if not readings:
         name = inputs[0].column.column
-        raise problem or BristleError(f"'{name}' is the only column for input and output; name the columns of both")
+        raise problem or BristleError(
+            f"'{name}' is the only column for input and output; name the columns of both"
+        )
     return sorted(readings, key=lambda each: -each.best)
 
 
@@ -233,24 +288,31 @@ def _same_quantity(tables: Mapping[Path, Columns]) -> Callable[[str, str], bool]
     def same(one: str, other: str) -> bool:
         if one == other:
             return True
-        both = np.column_stack([np.concatenate([table[name] for table in tables.values()]) for name in (one, other)])
+        both = np.column_stack(
+            [np.concatenate([table[name] for table in tables.values()]) for name in (one, other)]
+        )
         both = both[np.isfinite(both).all(axis=1)]
         return bool(abs(np.corrcoef(both.T)[0, 1]) > SAME_CORRELATION)
 
     return same
 
 
-def _reading(tables: Mapping[Path, Columns], time: Candidate, u: Candidate, y: Candidate) -> _Reading:
+def _reading(
+    tables: Mapping[Path, Columns], time: Candidate, u: Candidate, y: Candidate
+) -> _Reading:
     u = fitted(u, y.linear)
     layout = _layout(time, u, y)
     records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
-    if layout.output_kind == "velocity" and all(are_differences(r.y, r.resolution) for r in records):
+    if layout.output_kind == "velocity" and all(
+        are_differences(r.y, r.resolution) for r in records
+    ):
         layout = replace(layout, output_kind="position", differences=True)
         records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
     rows = regression_rows([(r.u, r.y) for r in records], records, layout.output_kind == "velocity")
     if rows is None:
         return _Reading(u, y, layout, records, rows, 0.0, 0.0)
-    # a reference follows its position: with free terms of the position, that would pass for a torque
+    # a reference follows its position: with free terms of the position, that would pass for a
+    # torque
     plain = replace(rows, free=rows.free[:, :1])
     work = float(rows.torque @ rows.core[:, 1])
     turned = explained_share(plain, -1.0)[0] if work < 0.0 else 0.0
@@ -278,7 +340,15 @@ def _with_sign(reading: _Reading) -> tuple[_Reading, list[str]]:
     layout = replace(reading.layout, input=turned.column)
     rows = None if reading.rows is None else replace(reading.rows, torque=-reading.rows.torque)
     line = f"a positive '{column.column}' moves the output backwards; its sign is turned by scale"
-    return replace(reading, input=turned, layout=layout, records=records, rows=rows, share=reading.turned, turned=0.0), [line]
+    return replace(
+        reading,
+        input=turned,
+        layout=layout,
+        records=records,
+        rows=rows,
+        share=reading.turned,
+        turned=0.0,
+    ), [line]
 
 
 def _one_sign(reading: _Reading) -> list[str]:
@@ -287,14 +357,20 @@ def _one_sign(reading: _Reading) -> list[str]:
     if reading.output.kind != "velocity" or np.min(y) < 0.0 or not np.min(u) < 0.0 < np.max(u):
         return []
     name = reading.output.column.column
-    return [f"'{name}' is never negative while the input has both signs: was the speed measured without its sign?"]
+    return [
+        f"'{name}' is never negative while the input has both signs: was the speed measured without"
+        " its sign?"
+    ]
 
 
-# -- rough parameters ----------------------------------------------------------------------------------------------------
+# -- rough parameters ------------------------------------------------------------------------------
 def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
     """Return rough parameters with bounds, and what the records do not show."""
     if reading.rows is None:
-        raise BristleError("too little motion in these records for a regression; record steps of several sizes and slow motion")
+        raise BristleError(
+            "too little motion in these records for a regression; record steps of several sizes and"
+            " slow motion"
+        )
     found: Regression = regress(reading.rows)
     torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
     scale = found.rows.scale  # rms of acceleration, speed and direction
@@ -306,13 +382,17 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
         most = LEVEL_SHARE * torque / float(scale[k])
         if name == "J" and not (known[k] and value > 0.0):
             value = value if value > 0.0 else min(most, max(found.error[k], 1e-3 * most))
-            rough[name] = Rough(_rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO))
+            rough[name] = Rough(
+                _rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO)
+            )
             doubts.append("the records hardly show the inertia; J is a guess")
             continue
         error = float(found.error[k]) if known[k] else None
         value = _rounded(max(value, 0.0))
         low = _rounded(value / BOUND_RATIO) if name == "J" else 0.0
-        rough[name] = Rough(value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most)))
+        rough[name] = Rough(
+            value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most))
+        )
     for name, parameter in (("J", J), ("a2", A2)):
         if not parameter.minimum <= rough[name].value <= parameter.maximum:
             unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)

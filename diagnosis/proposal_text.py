@@ -28,7 +28,9 @@ def _declared() -> dict[str, Parameter]:
 
 
 def resolution_of(found: Proposal) -> tuple[float, str] | None:
-    """Return the step that the output shows, in SI and as text in the unit of its column; None if it shows none."""
+    """Return the step that the output shows, in SI and as text in the unit of its column; None if
+    it shows none.
+    """
     step = max((record.resolution or 0.0 for record in found.records), default=0.0)
     if not step:
         return None
@@ -44,25 +46,42 @@ def model_text(found: Proposal, command: str) -> str:
     linear, kind = found.output.linear, found.input.kind
     gain, declared = kind in ("voltage", "current"), _declared()
     lines = [
-        f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check what is assumed:",
+        (
+            f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check"
+            " what is assumed:"
+        ),
         *(f"#   - {line}" for line in found.doubts or ("nothing",)),
         f"# Next: {command}",
         "",
         _with('friction = "coulomb"', "bristle list names other friction laws"),
         "",
-        _with("[parameters]", "rough, from a regression of the input; any effect that is missing biases it"),
+        _with(
+            "[parameters]",
+            "rough, from a regression of the input; any effect that is missing biases it",
+        ),
     ]
     for name, rough in found.rough.items():
-        about = f"+- {rough.error:.2g}" if rough.error is not None else "a guess" if name == "J" else "not shown by these records"
+        about = (
+            f"+- {rough.error:.2g}"
+            if rough.error is not None
+            else "a guess"
+            if name == "J"
+            else "not shown by these records"
+        )
         per = f" for b = 1 {own_unit(B, linear, kind)}" if gain else ""
         lines.append(
             _with(
-                f"{name} = {rough.value!r}", f"{own_unit(declared[name], linear, kind)}{per}, {about}: {declared[name].description}"
+                f"{name} = {rough.value!r}",
+                f"{own_unit(declared[name], linear, kind)}{per}, {about}:"
+                f" {declared[name].description}",
             )
         )
     if gain:
         unit = own_unit(B, linear, kind)
-        said = f"{unit}: not shown by input and output; if you know it, multiply J, a2, Fc and their bounds by it"
+        said = (
+            f"{unit}: not shown by input and output; if you know it, multiply J, a2, Fc and their"
+            " bounds by it"
+        )
         lines.append(_with("b = 1.0", said))
     lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
     lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
@@ -70,10 +89,14 @@ def model_text(found: Proposal, command: str) -> str:
         candidate: Candidate = getattr(found, role)
         lines += ["", f"[{role}]", *_declaration(candidate)]
         if role == "output" and found.differences:
-            lines.append(_with("differences = true", "of the readings of a position: it is summed to that"))
+            lines.append(
+                _with("differences = true", "of the readings of a position: it is summed to that")
+            )
         elif role == "output":
             shown = resolution_of(found)
-            lines.append(f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps")
+            lines.append(
+                f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps"
+            )
         for other in found.others[role]:
             lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
     return "\n".join(lines) + "\n"
@@ -85,7 +108,9 @@ def next_command(found: Proposal, out: Path) -> str:
 
 
 def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
-    """Write the model file, whole or not at all; `BristleError` if it exists and is not to be replaced."""
+    """Write the model file, whole or not at all; `BristleError` if it exists and is not to be
+    replaced.
+    """
     if out.suffix.lower() != ".toml":
         raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
     if out.is_dir() or (os.path.lexists(out) and not replace_it):
@@ -105,8 +130,16 @@ def _declaration(candidate: Candidate) -> list[str]:
     lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
     if column.scale is not None:
         lines.append(_with(f"scale = {quoted(column.scale)}", "what one of the unit is worth"))
-    others = "torque, force, voltage or current" if candidate.kind in INPUT_UNITS else "position or velocity"
-    return lines if candidate.kind == "time" else [*lines, _with(f"kind = {quoted(candidate.kind)}", others)]
+    others = (
+        "torque, force, voltage or current"
+        if candidate.kind in INPUT_UNITS
+        else "position or velocity"
+    )
+    return (
+        lines
+        if candidate.kind == "time"
+        else [*lines, _with(f"kind = {quoted(candidate.kind)}", others)]
+    )
 
 
 def summary(found: Proposal) -> list[str]:
@@ -115,25 +148,38 @@ def summary(found: Proposal) -> list[str]:
     linear = found.output.linear
     shown = resolution_of(found)
     steps = f", in steps of {shown[1]}" if shown else ", without steps"
-    steps = ", as differences of a position's readings: it is summed to that" if found.differences else steps
+    steps = (
+        ", as differences of a position's readings: it is summed to that"
+        if found.differences
+        else steps
+    )
     lines = [
         f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms{_or(found, 'time')}",
         f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",
         f"output  {_of(found.output)}, {found.output.kind}{steps}{_or(found, 'output')}",
     ]
     units = _declared()
-    values = ", ".join(f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}" for n, r in found.rough.items())
-    per = "" if found.input.kind in ("torque", "force") else f", for b = 1 {own_unit(B, linear, found.input.kind)}"
+    values = ", ".join(
+        f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}"
+        for n, r in found.rough.items()
+    )
+    per = (
+        ""
+        if found.input.kind in ("torque", "force")
+        else f", for b = 1 {own_unit(B, linear, found.input.kind)}"
+    )
     lines.append(f"rough   {values}{per}; they explain {found.explained:.0%} of the input")
     length = "m" if linear else "rad"
     speed, band = x["speed_range"], x["input_bandwidth"]["value"]
     lines.append(
-        f"excited {x['duration']['value']:.3g} s; speed {speed['lowest']:.3g} to {speed['highest']:.3g} {length}/s, "
-        f"range {x['range_travelled']['value']:.3g} {length}, {x['reversals']} reversals, at rest {x['rest_share']:.0%}, "
-        f"input up to {band:.2g} Hz"
+        f"excited {x['duration']['value']:.3g} s; speed {speed['lowest']:.3g} to"
+        f" {speed['highest']:.3g} {length}/s, range {x['range_travelled']['value']:.3g} {length},"
+        f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
     )
     notes = [*found.doubts, *(line for record in found.records for line in record.findings)]
-    notes += [f"these records cannot tell effects apart by form: {x['narrow']}"] if x["narrow"] else []
+    notes += (
+        [f"these records cannot tell effects apart by form: {x['narrow']}"] if x["narrow"] else []
+    )
     return [*lines, *(f"  - {line}" for line in (*notes, *x["caveats"]))]
 
 

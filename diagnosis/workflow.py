@@ -38,16 +38,23 @@ from bristle.diagnosis.whole.refit import refit_to_whole_records
 from bristle.records.clock import must_agree
 from bristle.records.record import Record
 
-SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried, and those under way are left
-COMPARISON_SHARE = 0.75  # of a time budget: after it effects are no longer compared, nor one refitted that was found
-REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is fitted
+# of a time budget: after it no further effect is tried, and those under way are left
+SEARCH_SHARE = 0.6
+# of a time budget: after it effects are no longer compared, nor one refitted that was found
+COMPARISON_SHARE = 0.75
+# of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is
+# fitted
+REFIT_SHARE = 0.8
 DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
 
 T = TypeVar("T")
 
 
 def diagnose(
-    model: Model, records: Sequence[Record], progress: Progress | None = None, options: SearchOptions | None = None
+    model: Model,
+    records: Sequence[Record],
+    progress: Progress | None = None,
+    options: SearchOptions | None = None,
 ) -> answer.Diagnosis:
     """Find where a model and records disagree, and name what is missing.
 
@@ -65,17 +72,20 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        Verdict, effects with parameters (SI) and intervals, ties, views, gap, and all else that the report shows.
+        Verdict, effects with parameters (SI) and intervals, ties, views, gap, and all else that the
+        report shows.
 
     Raises
     ------
     BristleError
-        If there is no record, one lasts less than 2 s, nothing moves in any of them, the input is constant in all, or the model
-        cannot be simulated.
+        If there is no record, one lasts less than 2 s, nothing moves in any of them, the input is
+        constant in all, or the model cannot be simulated.
     """
     check_arguments(model, records)
     tell = teller(progress)
-    return search_prepared(lambda given: _prepared(model, given, tell), records, tell, options or SearchOptions())
+    return search_prepared(
+        lambda given: _prepared(model, given, tell), records, tell, options or SearchOptions()
+    )
 
 
 @dataclass(frozen=True)
@@ -86,44 +96,66 @@ class Prepared:
     additions: Callable[[Conclusion], Additions]
 
 
-Prepare = Callable[[Sequence[Record]], Prepared | answer.Diagnosis]  # a diagnosis where nothing can be searched
+# a diagnosis where nothing can be searched
+Prepare = Callable[[Sequence[Record]], Prepared | answer.Diagnosis]
 
 
-def _prepared(model: Model, records: Sequence[Record], tell: Progress) -> Prepared | answer.Diagnosis:
-    """Return the model fitted to the records, or a diagnosis where both seem to describe different things."""
+def _prepared(
+    model: Model, records: Sequence[Record], tell: Progress
+) -> Prepared | answer.Diagnosis:
+    """Return the model fitted to the records, or a diagnosis where both seem to describe different
+    things.
+    """
     said, dataset = check(model, records), dataset_of(model, records)
     if said.proposals:
-        return not_searched(model, records, nominal_gap(dataset, *base_servo_of(model, dataset)), implausible(said))
+        return not_searched(
+            model, records, nominal_gap(dataset, *base_servo_of(model, dataset)), implausible(said)
+        )
     tell("base refit", 0.0)
     dataset, base, lines = prepare_model(model, records, dataset)
-    return Prepared(Case(model, records, dataset, base), lambda found: Additions(findings_after=(*lines, *said.findings)))
+    return Prepared(
+        Case(model, records, dataset, base),
+        lambda found: Additions(findings_after=(*lines, *said.findings)),
+    )
 
 
-def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress, options: SearchOptions) -> answer.Diagnosis:
+def search_prepared(
+    prepare: Prepare, records: Sequence[Record], tell: Progress, options: SearchOptions
+) -> answer.Diagnosis:
     """Return the diagnosis of what `prepare` makes of the records.
 
-    Where the search finds that the input was held otherwise than the records say, they are corrected and prepared again.
+    Where the search finds that the input was held otherwise than the records say, they are
+    corrected and prepared again.
     """
     started = time.perf_counter()
     options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
 
     def in_time(begin: float, result: Callable[[], T]) -> T | None:
-        """Return a result, None where a share of the budget is gone before it is begun, or all of it before it is there."""
+        """Return a result, None where a share of the budget is gone before it is begun, or all of
+        it before it is there.
+        """
         late = time.perf_counter() > started + begin * options.budget
         return None if late else within(started + options.budget, result)
 
-    def over_whole_records(case: Case, found: Conclusion) -> tuple[bool | None, tuple[Conclusion, answer.WholeRecords]]:
-        """Return a conclusion over whole records, and first None where no time was left for a refit to these."""
+    def over_whole_records(
+        case: Case, found: Conclusion
+    ) -> tuple[bool | None, tuple[Conclusion, answer.WholeRecords]]:
+        """Return a conclusion over whole records, and first None where no time was left for a refit
+        to these.
+        """
         refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
         return (True, refit) if refit else (None, refit_to_whole_records(case, found, refit=False))
 
-    with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
+    # matrices are small: more threads only wait, and sum in another order
+    with threadpool_limits(1, user_api="blas"):
         while True:
             prepared = prepare(records)
             if isinstance(prepared, answer.Diagnosis):
                 return replace(prepared, seconds=time.perf_counter() - started)
             with until(started + COMPARISON_SHARE * options.budget):
-                outcome = search(prepared.case.dataset, prepared.case.base, _reporting(options, tell))
+                outcome = search(
+                    prepared.case.dataset, prepared.case.base, _reporting(options, tell)
+                )
             if outcome.input_share is None:
                 break
             records = with_input_share(records, outcome.input_share)
@@ -152,16 +184,22 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         said = as_diagnosis(case, without_floor(refitted, agrees), whole, more)
         said = with_agreement(with_unnamed_torque(said, unnamed), agrees)
         text = " ".join(filter(None, (said.experiment, designed_line(designed, case.model))))
-        return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
+        return replace(
+            said, experiment=text, designed=designed, seconds=time.perf_counter() - started
+        )
 
 
 def _cut_short(outcome: SearchOutcome, options: SearchOptions, later: Sequence[str]) -> list[str]:
-    """Return a line on what a time budget left out, of the search and after it (`later`), if it did."""
+    """Return a line on what a time budget left out, of the search and after it (`later`), if it
+    did.
+    """
     unfinished = ", ".join(outcome.rounds[-1].unfinished)
     left = [f"effects not tried to the end in the last round: {unfinished}"] if unfinished else []
     left += [outcome.cut_short] if outcome.cut_short and not left else []
     left += later
-    return [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
+    return (
+        [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
+    )
 
 
 def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
@@ -170,17 +208,29 @@ def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
 
 
 def teller(progress: Progress | None) -> Progress:
-    """Return what progress is reported to, if anything; raise `BristleError` if that is no function."""
+    """Return what progress is reported to, if anything; raise `BristleError` if that is no
+    function.
+    """
     if not (progress is None or callable(progress)):
-        raise BristleError(f"progress is a {type(progress).__name__}; give a function of a text and the fraction done, or None")
+        raise BristleError(
+            f"progress is a {type(progress).__name__}; give a function of a text and the fraction"
+            " done, or None"
+        )
     return progress or (lambda text, fraction: None)
 
 
 def check_arguments(model: Model, records: Sequence[Record]) -> None:
-    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays, or records that show nothing."""
+    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays, or
+    records that show nothing.
+    """
     must_be_model(model)
-    if not isinstance(records, Sequence) or not all(isinstance(record, Record) for record in records):
-        raise BristleError("the records are not a list of Record; give what load_records or records_from_arrays returns")
+    if not isinstance(records, Sequence) or not all(
+        isinstance(record, Record) for record in records
+    ):
+        raise BristleError(
+            "the records are not a list of Record; give what load_records or records_from_arrays"
+            " returns"
+        )
     if not records:
         raise BristleError("no record is given; give at least one")
     must_agree(records)
@@ -188,17 +238,48 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
 
 
 def implausible(said: Plausibility, lines: Sequence[str] = ()) -> Additions:
-    """Return what is reported where data and model seem to describe different things; `lines` are findings to begin with."""
-    why = "No effect was tried: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
+    """Return what is reported where data and model seem to describe different things; `lines` are
+    findings to begin with.
+    """
+    why = (
+        "No effect was tried: data and model disagree in a way that is more likely a mistake in one"
+        " of them. Proposed: "
+    )
     proposed = "; ".join(line.rstrip(".") for line in said.proposals)
-    return Additions([f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"], lines, said.findings, proposals=said.proposals)
+    return Additions(
+        [f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"],
+        lines,
+        said.findings,
+        proposals=said.proposals,
+    )
 
 
-def not_searched(model: Model, records: Sequence[Record], gap: float, said: Additions) -> answer.Diagnosis:
-    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output squared], `said` is why."""
+def not_searched(
+    model: Model, records: Sequence[Record], gap: float, said: Additions
+) -> answer.Diagnosis:
+    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output
+    squared], `said` is why.
+    """
     return answer.Diagnosis(
-        verdict="not_identifiable", statement=tuple(said.statement), effects=(), ties=(), experiment="", where=(),
-        remains=NOTHING_LEFT, gap=answer.Gap(gap, gap, None, model.output_unit), excitation=excitation(model, records),
-        findings=(*said.findings_before, *(f for r in records for f in r.findings), *said.findings_after), base={}, parameters={},
-        rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals,
-    )  # fmt: skip
+        verdict="not_identifiable",
+        statement=tuple(said.statement),
+        effects=(),
+        ties=(),
+        experiment="",
+        where=(),
+        remains=NOTHING_LEFT,
+        gap=answer.Gap(gap, gap, None, model.output_unit),
+        excitation=excitation(model, records),
+        findings=(
+            *said.findings_before,
+            *(f for r in records for f in r.findings),
+            *said.findings_after,
+        ),
+        base={},
+        parameters={},
+        rounds=(),
+        undetected={},
+        traces=(),
+        model=model,
+        proposals=said.proposals,
+    )

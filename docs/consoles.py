@@ -1,8 +1,9 @@
-"""Run the commands of the tutorials: python docs/consoles.py [PAGE ...] rewrites the output below each command.
+"""Run the commands of the tutorials: python docs/consoles.py [PAGE ...] rewrites the output below
+each command.
 
-A page has blocks of three kinds: `console` (lines that begin with "$ " are commands, the others their output), and blocks with a
-title="FILE", which are written to that file before the commands that follow. All commands of a page run
-in one shell and one folder.
+A page has blocks of three kinds: `console` (lines that begin with "$ " are commands, the others
+their output), and blocks with a title="FILE", which are written to that file before the commands
+that follow. All commands of a page run in one shell and one folder.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 TUTORIALS = Path(__file__).resolve().parent / "tutorials"
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-PROGRESS = re.compile(r"^(?:\w+: .*, \d+%|bristle: compiling .*)\n", re.MULTILINE)  # what a long computation prints meanwhile
+# what a long computation prints meanwhile
+PROGRESS = re.compile(r"^(?:\w+: .*, \d+%|bristle: compiling .*)\n", re.MULTILINE)
 MARK = "--- end of output ---"
 LIMIT = 900  # s
 
@@ -34,11 +36,15 @@ def commands(text: str) -> list[tuple[str, str]]:
 
 
 def script(text: str) -> str:
-    """Return a shell script that writes the files of a page and runs its commands, with a mark after each output."""
+    """Return a shell script that writes the files of a page and runs its commands, with a mark
+    after each output.
+    """
     lines = []
     for language, title, content in BLOCK.findall(text):
         if title:
-            lines.append(f"mkdir -p $(dirname {title}); cat > {title} <<'END_OF_FILE'\n{content}END_OF_FILE")
+            lines.append(
+                f"mkdir -p $(dirname {title}); cat > {title} <<'END_OF_FILE'\n{content}END_OF_FILE"
+            )
         elif language == "console":
             for command in re.findall(r"^\$ (.*)$", content, re.MULTILINE):
                 lines.append(f"{command}\n__code=$?; echo; echo '{MARK}'; (exit $__code)")
@@ -46,14 +52,21 @@ def script(text: str) -> str:
 
 
 def outputs(text: str) -> list[str]:
-    """Run the commands of a page in a folder of their own and return what each prints, both streams together, without progress."""
+    """Run the commands of a page in a folder of their own and return what each prints, both streams
+    together, without progress.
+    """
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "scenarios").symlink_to(ROOT / "scenarios")
         paths = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
         done = subprocess.run(
-            ["bash", "-c", f"exec 2>&1\n{script(text)}"], cwd=folder, env=os.environ | {"PATH": paths, "COLUMNS": "120"},
-            capture_output=True, text=True, timeout=LIMIT, check=False,
-        )  # fmt: skip
+            ["bash", "-c", f"exec 2>&1\n{script(text)}"],
+            cwd=folder,
+            env=os.environ | {"PATH": paths, "COLUMNS": "120"},
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+            check=False,
+        )
     found = PROGRESS.sub("", done.stdout).split(f"\n{MARK}\n")
     return found[:-1]
 

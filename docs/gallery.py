@@ -1,7 +1,9 @@
-"""Draw docs/images/effects/*.png, what each effect looks like in a residual: python docs/gallery.py [EFFECT ...]
+"""Draw docs/images/effects/*.png, what each effect looks like in a residual: python docs/gallery.py
+[EFFECT ...]
 
-Two servos get the same input; one has the effect. Left: the positions of both. Right: the torque that the model without the effect
-cannot account for along the motion of the other, J a + a2 v + Fc sgn(v) - b u, over the quantity that the effect depends on.
+Two servos get the same input; one has the effect. Left: the positions of both. Right: the torque
+that the model without the effect cannot account for along the motion of the other, J a + a2 v + Fc
+sgn(v) - b u, over the quantity that the effect depends on.
 """
 
 from __future__ import annotations
@@ -31,11 +33,14 @@ SMOOTHING = 9  # samples of the moving average of the residual torque
 J, A2, B, FC = 0.001, 0.002, 0.0065, 0.004  # defaults of the servo and of the Coulomb law, SI
 FORWARD, BACKWARD, PLAIN = "#1f6f8b", "#c8553d", "#9a9a9a"
 
-# Sizes at which an effect is well visible beside a friction torque of 0.004 N.m; otherwise the defaults.
+# Sizes at which an effect is well visible beside a friction torque of 0.004 N.m; otherwise the
+# defaults.
 SIZES = {
-    "saturation": {"limit": 2.5}, "input_delay": {"delay": 0.008}, "electrical_pole": {"time_constant": 0.008},
+    "saturation": {"limit": 2.5},
+    "input_delay": {"delay": 0.008},
+    "electrical_pole": {"time_constant": 0.008},
     "encoder_play": {"play": 0.3},
-}  # fmt: skip
+}
 
 # View of the residual -> label and unit of the axis over which the torque is drawn.
 AXES = {
@@ -52,13 +57,19 @@ LEAST_TRAVEL = 1e-6  # rad: left end of the axis of travel
 
 
 def excitation(seconds: float) -> tuple[Array, Array]:
-    """Return time [s] and voltage [V], both of shape (n,): three sines that cover reversals, slow and fast motion."""
+    """Return time [s] and voltage [V], both of shape (n,): three sines that cover reversals, slow
+    and fast motion.
+    """
     t = np.arange(round(seconds / STEP)) * STEP
-    return t, 2.6 * np.sin(2 * math.pi * 0.45 * t) + 1.3 * np.sin(2 * math.pi * 1.7 * t) + 0.5 * np.sin(2 * math.pi * 4.3 * t)
+    return t, 2.6 * np.sin(2 * math.pi * 0.45 * t) + 1.3 * np.sin(
+        2 * math.pi * 1.7 * t
+    ) + 0.5 * np.sin(2 * math.pi * 4.3 * t)
 
 
 def simulate(u: Array, effect: str | None) -> tuple[Array, Array]:
-    """Return measured position [rad] and velocity [rad/s], shape (n,), at the samples of the input."""
+    """Return measured position [rad] and velocity [rad/s], shape (n,), at the samples of the
+    input.
+    """
     program = servo_program("coulomb", encoder=False, effects=(effect,) if effect else ())
     values = {f"{effect}.{name}": value for name, value in SIZES.get(effect or "", {}).items()}
     inputs = {"u": u, "tau_load": np.zeros_like(u), "load_scale": np.ones_like(u)}
@@ -67,7 +78,9 @@ def simulate(u: Array, effect: str | None) -> tuple[Array, Array]:
 
 
 def residual_torque(u: Array, v: Array) -> Array:
-    """Return the torque [N.m], shape (n,), that the model without an effect lacks; nan where it stands still."""
+    """Return the torque [N.m], shape (n,), that the model without an effect lacks; nan where it
+    stands still.
+    """
     kernel = np.ones(SMOOTHING) / SMOOTHING
     torque = J * np.gradient(v, STEP) + A2 * v + FC * np.sign(v) - B * u
     moving = np.convolve(np.abs(v) > 1e-6, kernel, "same") > 0.99
@@ -99,7 +112,15 @@ def draw(effect: Effect) -> Figure:
     left.set(xlabel="time [s]", ylabel="position [rad]")
     view = next((part for part in effect.residual[0].split(" x ") if part in AXES), "t")
     v = with_effect[1]
-    axes = {"v": v, "direction": v, "a": np.gradient(v, STEP), "u": u, "du": np.gradient(u, STEP), "theta": with_effect[0], "t": t}
+    axes = {
+        "v": v,
+        "direction": v,
+        "a": np.gradient(v, STEP),
+        "u": u,
+        "du": np.gradient(u, STEP),
+        "theta": with_effect[0],
+        "t": t,
+    }
     x = travel(*with_effect) if view == "history" else axes[view]
     torque = 1e3 * residual_torque(u, v)
     for direction, colour, label in ((v > 0, FORWARD, "forward"), (v < 0, BACKWARD, "backward")):
@@ -108,7 +129,15 @@ def draw(effect: Effect) -> Figure:
     if view == "history":
         right.set(xscale="log", xlim=(LEAST_TRAVEL, 3.0))
     for axis in (left, right):
-        axis.legend(fontsize=7, frameon=False, markerscale=4, loc="lower left", bbox_to_anchor=(0, 0.98), ncols=2, borderpad=0)
+        axis.legend(
+            fontsize=7,
+            frameon=False,
+            markerscale=4,
+            loc="lower left",
+            bbox_to_anchor=(0, 0.98),
+            ncols=2,
+            borderpad=0,
+        )
         axis.tick_params(labelsize=7)
         axis.xaxis.label.set_size(8)
         axis.yaxis.label.set_size(8)
@@ -117,7 +146,9 @@ def draw(effect: Effect) -> Figure:
 
 
 def _limits(torque: Array) -> tuple[float, float]:
-    """Return limits that leave out the few samples around reversals, and show nothing that is only rounding."""
+    """Return limits that leave out the few samples around reversals, and show nothing that is only
+    rounding.
+    """
     low, high = np.nanpercentile(torque, [1, 99])
     low, high = min(low, 0.0), max(high, 0.0)
     centre, half = (low + high) / 2, max(0.65 * (high - low), 0.05)

@@ -1,7 +1,9 @@
-"""Hooks of mkdocs: pages outside docs/ join the site, and links lead to the same place in the repository and on the site.
+"""Hooks of mkdocs: pages outside docs/ join the site, and links lead to the same place in the
+repository and on the site.
 
-README.md is the first page. Every file that a page links to and that is not in docs/ is part of the site under its path in the
-repository, such as benchmarks/results/blind.md; a link to a file that does not exist stays as it is and fails the strict build.
+README.md is the first page. Every file that a page links to and that is not in docs/ is part of the
+site under its path in the repository, such as benchmarks/results/blind.md; a link to a file that
+does not exist stays as it is and fails the strict build.
 """
 
 from __future__ import annotations
@@ -28,9 +30,13 @@ LINK = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
 
 @event_priority(100)  # before mkdocstrings reads its settings
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Give the API pages the packages in one tree, as they install; pyproject.toml maps them to folders."""
+    """Give the API pages the packages in one tree, as they install; pyproject.toml maps them to
+    folders.
+    """
     tree = Path(TREE.name)
-    packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-dir"]
+    packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "setuptools"
+    ]["package-dir"]
     for package, folder in packages.items():
         (tree / package.replace(".", "/")).mkdir(parents=True, exist_ok=True)
         for file in (ROOT / folder).glob("*.py"):
@@ -56,7 +62,10 @@ def repository_path(path: str) -> str:
 def targets(path: str) -> list[str]:
     """Return the files of the repository that a Markdown file links to."""
     text = (ROOT / path).read_text(encoding="utf-8")
-    found = (posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) for link in LINK.findall(text))
+    found = (
+        posixpath.normpath(posixpath.join(posixpath.dirname(path), link))
+        for link in LINK.findall(text)
+    )
     return [target for target in found if (ROOT / target).is_file()]
 
 
@@ -73,7 +82,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     from mkdocs.structure.files import File
 
     seen: set[str] = set()
-    queue = [*named_pages(config.nav), *(f"docs/{file.src_uri}" for file in files.documentation_pages())]
+    queue = [
+        *named_pages(config.nav),
+        *(f"docs/{file.src_uri}" for file in files.documentation_pages()),
+    ]
     while queue:
         path = queue.pop()
         if path in seen or not (ROOT / path).is_file():
@@ -93,6 +105,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def rewritten(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(place, match[1]))
-        return posixpath.relpath(site_path(target), here or ".") if (ROOT / target).is_file() else match[1]
+        return (
+            posixpath.relpath(site_path(target), here or ".")
+            if (ROOT / target).is_file()
+            else match[1]
+        )
 
     return LINK.sub(rewritten, markdown)

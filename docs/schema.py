@@ -12,21 +12,40 @@ from pydantic_core import PydanticUndefined
 
 from bristle.common.toml import InUnit, Section
 
-Choices = Mapping[tuple[str, str], Sequence[str]]  # (class, key) -> values that are checked against another list
+# (class, key) -> values that are checked against another list
+Choices = Mapping[tuple[str, str], Sequence[str]]
 VALUE = {str, int, float, bool}  # the types of a value that is a number or text with a unit
 SIMPLE = {str: "text", int: "whole number", float: "number", bool: "true or false"}
 RELATIONS = {Ge: ("ge", "≥"), Gt: ("gt", ">"), Le: ("le", "≤"), Lt: ("lt", "<")}
 
 
-def key_tables(section: type[Section], choices: Choices, path: str = "", level: int = 2) -> Iterator[str]:
-    """Yield the lines of a Markdown page: a table of keys for a section of the file and for every table inside."""
-    yield from (f"{'#' * level} `{path}`", "", (section.__doc__ or "").strip(), "") if path else (f"{'#' * level} Top level", "")
+def key_tables(
+    section: type[Section], choices: Choices, path: str = "", level: int = 2
+) -> Iterator[str]:
+    """Yield the lines of a Markdown page: a table of keys for a section of the file and for every
+    table inside.
+    """
+    yield from (
+        (f"{'#' * level} `{path}`", "", (section.__doc__ or "").strip(), "")
+        if path
+        else (f"{'#' * level} Top level", "")
+    )
     yield from ("| key | meaning | type | unit | default | allowed |", "|---|---|---|---|---|---|")
     inner = []
     for name, field in section.model_fields.items():
-        given = _cell(", ".join(f"`{value}`" for value in choices.get((section.__name__, name), ())) or _allowed(field))
+        given = _cell(
+            ", ".join(f"`{value}`" for value in choices.get((section.__name__, name), ()))
+            or _allowed(field)
+        )
         kind = "text with a unit" if _unit(field) else _kind(field.annotation)
-        texts = (f"`{name}`", _cell(field.description or ""), kind, _unit(field), _default(field), given)
+        texts = (
+            f"`{name}`",
+            _cell(field.description or ""),
+            kind,
+            _unit(field),
+            _default(field),
+            given,
+        )
         yield f"| {' | '.join(texts)} |"
         if child := _section(field.annotation):
             many = get_origin(_plain(field.annotation)) is list
@@ -100,7 +119,12 @@ def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.default
-    if value is PydanticUndefined or value is None or isinstance(value, Section) or value in ({}, [], ""):
+    if (
+        value is PydanticUndefined
+        or value is None
+        or isinstance(value, Section)
+        or value in ({}, [], "")
+    ):
         return "–"
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"

@@ -1,4 +1,6 @@
-"""Variables of an FMU under other names and in other units, as scenario and model files give them."""
+"""Variables of an FMU under other names and in other units, as scenario and model files give
+them.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,16 @@ def alias(given: Mapped, units: Sequence[str]) -> Alias:
     Parameters
     ----------
     given : str or dict
-        Its name, or ``{"name": ..., "unit": ..., "scale": ...}``: one of its number is worth scale times unit. Where a scale but
-        no unit is given, the unit is the first of `units`.
+        Its name, or ``{"name": ..., "unit": ..., "scale": ...}``: one of its number is worth scale
+        times unit. Where a scale but no unit is given, the unit is the first of `units`.
     units : sequence of str
         Units of which its own must be a multiple; none if it may be any.
 
     Raises
     ------
     BristleError
-        If it is not such a table, or its unit does not fit; the message does not name the place in a file.
+        If it is not such a table, or its unit does not fit; the message does not name the place in
+        a file.
     """
     table: Mapping[str, object] = {"name": given} if isinstance(given, str) else given
     name, unit, scale = table.get("name"), table.get("unit"), table.get("scale", 1.0)
@@ -36,7 +39,10 @@ def alias(given: Mapped, units: Sequence[str]) -> Alias:
         or not isinstance(unit, str | None)
         or not _is_scale(scale)
     ):
-        raise BristleError('write { name = "...", unit = "...", scale = 1.0 }; unit and a scale other than 0 are optional')
+        raise BristleError(
+            'write { name = "...", unit = "...", scale = 1.0 }; unit and a scale other than 0 are'
+            " optional"
+        )
     factor = float(str(scale))
     if unit is None:
         return Alias(name, factor, units[0] if units and factor != 1.0 else None)
@@ -50,4 +56,9 @@ def alias(given: Mapped, units: Sequence[str]) -> Alias:
 
 
 def _is_scale(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value != 0
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+        and value != 0
+    )

@@ -1,4 +1,6 @@
-"""What a child process answers, as plain numbers and text: reading it runs no code, whatever wrote it."""
+"""What a child process answers, as plain numbers and text: reading it runs no code, whatever wrote
+it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ NOT_ASKED = "its answer is not what was asked for"
 
 
 def write_answer(path: Path, answer: Any) -> None:
-    """Write None, Booleans, numbers, text, arrays, and lists and dictionaries of these; the file appears when it is complete."""
+    """Write None, Booleans, numbers, text, arrays, and lists and dictionaries of these; the file
+    appears when it is complete.
+    """
     arrays: list[Any] = []
     tree = json.dumps(_without_arrays(answer, arrays)).encode()
     fresh = path.with_suffix(".fresh")
@@ -47,7 +51,9 @@ def read_answer(path: Path) -> Any:
         If the file is not one of `write_answer`.
     """
     try:  # not blocked by a pipe in the place of the file
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0))
+        handle = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
+        )
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -58,7 +64,17 @@ def read_answer(path: Path) -> Any:
         try:
             tree = json.loads(np.load(file, allow_pickle=False).tobytes())
             return _with_arrays(tree, file, [])
-        except (ValueError, OSError, EOFError, MemoryError, RecursionError, TypeError, KeyError, IndexError, AttributeError):
+        except (
+            ValueError,
+            OSError,
+            EOFError,
+            MemoryError,
+            RecursionError,
+            TypeError,
+            KeyError,
+            IndexError,
+            AttributeError,
+        ):
             raise BristleError(NOT_ASKED) from None
 
 
@@ -69,4 +85,6 @@ def _with_arrays(value: Any, file: BinaryIO, arrays: list[Any]) -> Any:
             arrays.append(np.load(file, allow_pickle=False))
             return arrays[value[ARRAY]]
         return {name: _with_arrays(each, file, arrays) for name, each in value.items()}
-    return [_with_arrays(each, file, arrays) for each in value] if isinstance(value, list) else value
+    return (
+        [_with_arrays(each, file, arrays) for each in value] if isinstance(value, list) else value
+    )

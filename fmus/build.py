@@ -1,6 +1,7 @@
 """Build an FMU, or take it from the cache.
 
-The symbolic code is imported only if something must be built, so that `obtain` is quick for an FMU in the cache.
+The symbolic code is imported only if something must be built, so that `obtain` is quick for an FMU
+in the cache.
 """
 
 from __future__ import annotations
@@ -24,25 +25,47 @@ if TYPE_CHECKING:
     from bristle.model.program import Program
 
 FMU_NAMES = ("plant", "observer", "controller")
-VARIANT_OPTION = {"plant": "law", "observer": "method"}  # name of the option that chooses one variant
-VARIANT_KIND = {"plant": "laws", "observer": "observers"}  # kind of parts that these options choose from
-HASHED_PACKAGES = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
+# name of the option that chooses one variant
+VARIANT_OPTION = {"plant": "law", "observer": "method"}
+# kind of parts that these options choose from
+VARIANT_KIND = {"plant": "laws", "observer": "observers"}
+HASHED_PACKAGES = (
+    "bristle.common",
+    "bristle.model",
+    "bristle.plant",
+    "bristle.observer",
+    "bristle.fmus",
+)
 HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
-HASHED_PLUGINS = ("laws", "effects", "observers")  # sub-folders of plug-in folders whose files an FMU may contain
+# sub-folders of plug-in folders whose files an FMU may contain
+HASHED_PLUGINS = ("laws", "effects", "observers")
 
 
 def _check(
-    what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str], platforms: str = "host"
+    what: str,
+    fmi: int,
+    kind: str,
+    law: str | None,
+    method: str | None,
+    effects: Sequence[str],
+    platforms: str = "host",
 ) -> str | None:
-    """Return the variant asked for, or None for all; raise `BristleError` for what cannot be built."""
+    """Return the variant asked for, or None for all; raise `BristleError` for what cannot be
+    built.
+    """
     if what not in FMU_NAMES:
         raise BristleError(f"unknown FMU '{what}'; known: {', '.join(FMU_NAMES)}")
     if kind not in ("native", "python"):
         raise BristleError(f"unknown kind of FMU '{kind}'; known: native, python")
     if kind == "python" and platforms != "host":
-        raise BristleError("a python FMU has no binary of its own to compile; leave out the platforms, or choose native")
+        raise BristleError(
+            "a python FMU has no binary of its own to compile; leave out the platforms, or choose"
+            " native"
+        )
     if fmi not in ((2, 3) if kind == "native" else (2,)):
-        raise BristleError(f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}")
+        raise BristleError(
+            f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}"
+        )
     for name, value in (("law", law), ("method", method)):
         if value is not None and VARIANT_OPTION.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
@@ -53,18 +76,28 @@ def _check(
     return law if what == "plant" else method
 
 
-def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (), encoder: bool = True) -> Program:
+def program_of(
+    what: str, variant: str | None = None, effects: Sequence[str] = (), encoder: bool = True
+) -> Program:
     """Return the program behind an FMU; effects and encoder as of `build`."""
     if what != "plant" and not encoder:
         raise BristleError(f"the {what} has no encoder; only the plant can be built without it")
     definition = importlib.import_module(f"bristle.fmus.{what}.definition")
     chosen = [] if variant is None else [variant]
-    program: Program = definition.program(variant, effects, encoder) if what == "plant" else definition.program(*chosen)
+    program: Program = (
+        definition.program(variant, effects, encoder)
+        if what == "plant"
+        else definition.program(*chosen)
+    )
     return program
 
 
-def program_files(program: Program, fmi: int = 2, kind: str = "native", platforms: str = "host") -> dict[str, bytes]:
-    """Return the content of an FMU, file name -> bytes; `fmi`, `kind` and `platforms` as of `build`."""
+def program_files(
+    program: Program, fmi: int = 2, kind: str = "native", platforms: str = "host"
+) -> dict[str, bytes]:
+    """Return the content of an FMU, file name -> bytes; `fmi`, `kind` and `platforms` as of
+    `build`.
+    """
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
@@ -107,50 +140,76 @@ def build(
     effects : sequence of str
         Effects added to the plant: of one law, or of all laws that they can join.
     encoder : bool
-        Whether the plant has its encoder outputs. Without them, the plant of one smooth law also offers Model Exchange.
+        Whether the plant has its encoder outputs. Without them, the plant of one smooth law also
+        offers Model Exchange.
     parameters : mapping of str to float, optional
         Start values of parameters in SI units, in place of their defaults.
     units : function, optional
         Gives the unit that a variable is declared with, from its name and its usual unit.
     platforms : str
-        What a native FMU is compiled for: ``host``, ``all``, or names such as ``win64,linux64`` (`find_platforms`).
+        What a native FMU is compiled for: ``host``, ``all``, or names such as ``win64,linux64``
+        (`find_platforms`).
     related : function, optional
-        Gives files to add from the others; by default parameters, a smoke test and checksums (`related_files`).
+        Gives files to add from the others; by default parameters, a smoke test and checksums
+        (`related_files`).
 
     Raises
     ------
     BristleError
-        If the FMU, law, method, effect or platform is unknown, there is no compiler, a parameter is unknown or out of range, or
-        `out` cannot be written.
+        If the FMU, law, method, effect or platform is unknown, there is no compiler, a parameter is
+        unknown or out of range, or `out` cannot be written.
     """
     from bristle.fmus.pack import write_archive
     from bristle.fmus.related import related_files
 
-    program = program_of(what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder).preset(parameters or {})
+    program = program_of(
+        what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder
+    ).preset(parameters or {})
     declared = program if units is None else program.in_units(units)
     content = program_files(declared, fmi, kind, platforms)
     return write_archive(Path(out), {**content, **(related or related_files)(content)})
 
 
 def _sources(package: str) -> list[str | bytes]:
-    """Return names and contents of the files of a package, without importing it (that would be slow)."""
+    """Return names and contents of the files of a package, without importing it (that would be
+    slow).
+    """
     spec = find_spec(package)
     assert spec is not None
     folder = Path(next(iter(spec.submodule_search_locations or ())))
-    paths = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".c", ".h", ".txt", ".png", ".svg"))
-    return [part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())]
+    paths = sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix in (".py", ".c", ".h", ".txt", ".png", ".svg")
+    )
+    return [
+        part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())
+    ]
 
 
-# Of the code that this process runs, so read at import: a later change of a file must not name an FMU of the code before it.
+# Of the code that this process runs, so read at import: a later change of a file must not name an
+# FMU of the code before it.
 SOURCES = digest(*(part for name in HASHED_PACKAGES for part in _sources(name)))
 
 
 def _key(packages: Sequence[str | bytes], kind: str, *arguments: object) -> str:
-    """Return the hash of all that an FMU is made from; `packages`: the code of the installed packages among it."""
-    plugins = [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
+    """Return the hash of all that an FMU is made from; `packages`: the code of the installed
+    packages among it.
+    """
+    plugins = [
+        part
+        for each in HASHED_PLUGINS
+        for path in plugin_files(each, ".py")
+        for part in (str(path), path.read_bytes())
+    ]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
     return digest(
-        SOURCES, *plugins, *packages, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments))
+        SOURCES,
+        *plugins,
+        *packages,
+        *(version(name) for name in HASHED_DISTRIBUTIONS),
+        *made_by,
+        repr((kind, *arguments)),
     )
 
 
@@ -165,7 +224,9 @@ def is_packaged(what: str, variant: str) -> bool:
 
 
 def plugins_of(what: str) -> bool:
-    """True if plug-in folders have laws or methods: the FMU of all is compiled anew, for a minute, after each change of one."""
+    """True if plug-in folders have laws or methods: the FMU of all is compiled anew, for a minute,
+    after each change of one.
+    """
     return bool(plugin_files(VARIANT_KIND[what], ".py"))
 
 
@@ -185,7 +246,8 @@ def obtain(
     encoder: bool = True,
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
-    """Return an FMU as a file of the cache, built only if it is not there; without the files of `related_files`.
+    """Return an FMU as a file of the cache, built only if it is not there; without the files of
+    `related_files`.
 
     Parameters
     ----------
@@ -198,7 +260,9 @@ def obtain(
         As of `build`.
     """
     variant = _check(what, fmi, kind, law, method, effects)
-    parts = [("effects", effect) for effect in sorted(effects)] + ([(VARIANT_KIND[what], variant)] if variant else [])
+    parts = [("effects", effect) for effect in sorted(effects)] + (
+        [(VARIANT_KIND[what], variant)] if variant else []
+    )
     key = _key(
         [code for part in parts for code in code_offered(*part)],
         kind,
@@ -209,24 +273,38 @@ def obtain(
         *sorted(effects),
         *sorted((parameters or {}).items()),
     )
-    name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
+    name = "-".join(
+        [what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]]
+    )
 
     def make(out: Path) -> None:
         if kind == "native":
             which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
-            logging.getLogger("bristle").info("compiling an FMU (%s) once; later runs take it from the cache", which)
+            logging.getLogger("bristle").info(
+                "compiling an FMU (%s) once; later runs take it from the cache", which
+            )
         build(
-            what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters,
+            what,
+            out,
+            fmi=fmi,
+            kind=kind,
+            law=law,
+            method=method,
+            effects=effects,
+            encoder=encoder,
+            parameters=parameters,
             related=nothing,
-        )  # fmt: skip
+        )
 
     return cached(f"{name}.fmu", make)
 
 
 def estimated(method: str) -> list[str]:
-    """Return the signals and parameters that an observer method estimates; its other outputs are always 0.
+    """Return the signals and parameters that an observer method estimates; its other outputs are
+    always 0.
 
-    They are kept as a file of the cache, so that only the first call makes the equations; an unknown method is a `BristleError`.
+    They are kept as a file of the cache, so that only the first call makes the equations; an
+    unknown method is a `BristleError`.
     """
 
     def make(out: Path) -> None:
@@ -235,5 +313,7 @@ def estimated(method: str) -> list[str]:
         out.write_text(json.dumps(observer.estimated(method)), encoding="utf-8")
 
     key = _key(code_offered(VARIANT_KIND["observer"], method), "estimated", method)
-    found: list[str] = json.loads(cached(f"estimated-{method}-{key[:24]}.json", make).read_text(encoding="utf-8"))
+    found: list[str] = json.loads(
+        cached(f"estimated-{method}-{key[:24]}.json", make).read_text(encoding="utf-8")
+    )
     return found

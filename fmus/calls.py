@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 Control = NDArray[np.int64]
 
-CONTROL_SIZE = 5  # [0] items done, [1] not 0: stop, [2] call under way, [3] place of its FMU, [4] counts calls: a sign of life
+# [0] items done, [1] not 0: stop, [2] call under way, [3] place of its FMU, [4] counts calls: a
+# sign of life
+CONTROL_SIZE = 5
 
 
 class Call(IntEnum):
@@ -33,7 +35,9 @@ class Watch:
         self._paths: list[Path] = []
 
     def start(self, control: Control, paths: Sequence[Path]) -> None:
-        """Write from now on into `control`, shape (CONTROL_SIZE,); FMUs by their places in `paths`."""
+        """Write from now on into `control`, shape (CONTROL_SIZE,); FMUs by their places in
+        `paths`.
+        """
         self._control, self._paths = control, list(paths)
 
     def begin(self, path: Path, call: Call) -> None:

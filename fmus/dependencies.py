@@ -18,13 +18,22 @@ def _origins(system: System) -> dict[str, set[str]]:
     """Return, for each symbol, the parameters and inputs it follows from at initialisation."""
     origins = {name: {name} for name in (*system.parameters, *system.inputs, "time")}
     for block in system.constants:
-        origins |= {name: _union(origins[s] for s in symbols_in(value)) for name, value in block.items()}
-    return origins | {name: _union(origins[s] for s in symbols_in(state.initial)) for name, state in system.carried.items()}
+        origins |= {
+            name: _union(origins[s] for s in symbols_in(value)) for name, value in block.items()
+        }
+    return origins | {
+        name: _union(origins[s] for s in symbols_in(state.initial))
+        for name, state in system.carried.items()
+    }
 
 
 def _expressions(interface: Interface, system: System) -> dict[str, SX]:
-    """Return the expression of each unknown: outputs, calculated parameters and, for Model Exchange, states and rates."""
-    found = {name: value for name, (_, value) in (*system.outputs.items(), *system.calculated.items())}
+    """Return the expression of each unknown: outputs, calculated parameters and, for Model
+    Exchange, states and rates.
+    """
+    found = {
+        name: value for name, (_, value) in (*system.outputs.items(), *system.calculated.items())
+    }
     for (der, state), name in zip(interface.rates, system.states, strict=False):
         found |= {der.name: system.rates[name], state.name: system.symbols[name]}
     return found
@@ -35,9 +44,14 @@ def _select(interface: Interface, names: set[str]) -> list[Exposed]:
 
 
 def structural(interface: Interface) -> dict[str, list[Exposed]]:
-    """Return the inputs and shown states that each output and derivative depends on at one instant."""
-    shown = {state.name.partition(".")[2]: state.name for _, state in interface.rates}  # own name -> public name
-    result: dict[str, set[str]] = {x.name: set() for x in (*interface.of("output"), *(der for der, _ in interface.rates))}
+    """Return the inputs and shown states that each output and derivative depends on at one
+    instant.
+    """
+    # own name -> public name
+    shown = {state.name.partition(".")[2]: state.name for _, state in interface.rates}
+    result: dict[str, set[str]] = {
+        x.name: set() for x in (*interface.of("output"), *(der for der, _ in interface.rates))
+    }
     for variant in interface.program.variants:
         knowns = {name: name for name in variant.system.inputs} | shown | {"time": "time"}
         for name, expression in _expressions(interface, variant.system).items():

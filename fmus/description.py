@@ -19,7 +19,13 @@ LOG_CATEGORY = ("logStatusError", "why a call was refused or a simulation cannot
 
 
 def _text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
+    return (
+        str(value).lower()
+        if isinstance(value, bool)
+        else repr(value)
+        if isinstance(value, float)
+        else str(value)
+    )
 
 
 def _element(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
@@ -36,7 +42,9 @@ def _units(parent: ET.Element, variables: Sequence[Exposed]) -> None:
         element = _element(definitions, "Unit", name=text)
         _element(element, "BaseUnit", **powers, **factor)
         if (shown := DISPLAY_UNITS.get(text)) is not None:
-            _element(element, "DisplayUnit", name=shown, factor=unit.factor / parse_unit(shown).factor)
+            _element(
+                element, "DisplayUnit", name=shown, factor=unit.factor / parse_unit(shown).factor
+            )
 
 
 def _selector_type(interface: Interface) -> str:
@@ -45,12 +53,22 @@ def _selector_type(interface: Interface) -> str:
 
 def _items(parent: ET.Element, interface: Interface) -> None:
     for value, variant in enumerate(interface.program.variants, start=1):
-        _element(parent, "Item", name=variant.system.name, value=value, description=variant.system.description)
+        _element(
+            parent,
+            "Item",
+            name=variant.system.name,
+            value=value,
+            description=variant.system.description,
+        )
 
 
 def _description(exposed: Exposed) -> str:
     variable = exposed.slot.variable
-    return f"{variable.description} ({variable.symbol})" if isinstance(variable, Parameter) else variable.description
+    return (
+        f"{variable.description} ({variable.symbol})"
+        if isinstance(variable, Parameter)
+        else variable.description
+    )
 
 
 def _start(exposed: Exposed) -> float | int | bool | None:
@@ -60,11 +78,19 @@ def _start(exposed: Exposed) -> float | int | bool | None:
 
 
 def _limit(value: float | None, exposed: Exposed) -> float | int | None:
-    return None if value is None else int(value) if exposed.type in ("Enumeration", "Integer") else float(value)
+    return (
+        None
+        if value is None
+        else int(value)
+        if exposed.type in ("Enumeration", "Integer")
+        else float(value)
+    )
 
 
 def _display_unit(exposed: Exposed) -> str | None:
-    """Return what an angle, a speed or a sample time is shown in; simulated time stays in seconds."""
+    """Return what an angle, a speed or a sample time is shown in; simulated time stays in
+    seconds.
+    """
     unit = exposed.slot.variable.unit
     if exposed.type != "Real" or (unit == "s" and exposed.name != SAMPLE_TIME.name):
         return None
@@ -87,7 +113,14 @@ def _value_attributes(interface: Interface, exposed: Exposed) -> dict[str, objec
 def _experiment(root: ET.Element, interface: Interface) -> None:
     starts = {slot.name: slot.start for slot in interface.program.slots if slot.kind == "parameter"}
     tolerance, step = starts.get(TOLERANCE.name), starts.get(SAMPLE_TIME.name, SAMPLE_TIME.default)
-    _element(root, "DefaultExperiment", startTime=0.0, stopTime=STOP_TIME, tolerance=tolerance, stepSize=step)
+    _element(
+        root,
+        "DefaultExperiment",
+        startTime=0.0,
+        stopTime=STOP_TIME,
+        tolerance=tolerance,
+        stepSize=step,
+    )
 
 
 def _log_categories(root: ET.Element) -> None:
@@ -110,7 +143,7 @@ def _root(interface: Interface, fmi_version: str, token_name: str) -> ET.Element
     return ET.Element("fmiModelDescription", attributes)
 
 
-# -- FMI 2.0 -------------------------------------------------------------------------------------------------------------
+# -- FMI 2.0 ---------------------------------------------------------------------------------------
 
 
 def _interfaces_2(root: ET.Element, interface: Interface, sources: Sequence[str]) -> None:
@@ -124,7 +157,11 @@ def _interfaces_2(root: ET.Element, interface: Interface, sources: Sequence[str]
         "canSerializeFMUstate": True,
         "providesDirectionalDerivative": interface.exchange,
     }
-    elements = [_element(root, "ModelExchange", **common, completedIntegratorStepNotNeeded=True)] if interface.exchange else []
+    elements = (
+        [_element(root, "ModelExchange", **common, completedIntegratorStepNotNeeded=True)]
+        if interface.exchange
+        else []
+    )
     variable_step = {"canHandleVariableCommunicationStepSize": True, "maxOutputDerivativeOrder": 0}
     elements.append(_element(root, "CoSimulation", **common, **variable_step))
     for element in elements if native else ():
@@ -135,18 +172,28 @@ def _interfaces_2(root: ET.Element, interface: Interface, sources: Sequence[str]
 
 def _types_2(root: ET.Element, interface: Interface) -> None:
     if interface.program.selector:
-        simple = _element(_element(root, "TypeDefinitions"), "SimpleType", name=_selector_type(interface))
+        simple = _element(
+            _element(root, "TypeDefinitions"), "SimpleType", name=_selector_type(interface)
+        )
         _items(_element(simple, "Enumeration"), interface)
 
 
-def _variables_2(root: ET.Element, interface: Interface, shown: Sequence[Exposed], number: dict[str, int]) -> None:
+def _variables_2(
+    root: ET.Element, interface: Interface, shown: Sequence[Exposed], number: dict[str, int]
+) -> None:
     parent = _element(root, "ModelVariables")
     state_of = {der.name: state.name for der, state in interface.rates}
     for x in shown:
         scalar = _element(
-            parent, "ScalarVariable", name=x.name, valueReference=x.reference, description=_description(x),
-            causality=x.causality, variability=x.variability, initial=x.initial,
-        )  # fmt: skip
+            parent,
+            "ScalarVariable",
+            name=x.name,
+            valueReference=x.reference,
+            description=_description(x),
+            causality=x.causality,
+            variability=x.variability,
+            initial=x.initial,
+        )
         derivative = number[state_of[x.name]] if x.name in state_of else None
         _element(scalar, x.type, **_value_attributes(interface, x), derivative=derivative)
 
@@ -158,7 +205,9 @@ def _structure_2(root: ET.Element, interface: Interface, number: dict[str, int])
         if names:
             group = _element(structure, tag)
             for name in names:
-                indices = " ".join(str(number[x.name]) for x in dependencies[name] if x.name in number)
+                indices = " ".join(
+                    str(number[x.name]) for x in dependencies[name] if x.name in number
+                )
                 _element(group, "Unknown", index=number[name], dependencies=indices)
 
     structure = _element(root, "ModelStructure")
@@ -184,9 +233,14 @@ def description_2(interface: Interface, sources: Sequence[str]) -> bytes:
     return document(root)
 
 
-# -- FMI 3.0 -------------------------------------------------------------------------------------------------------------
+# -- FMI 3.0 ---------------------------------------------------------------------------------------
 
-TYPES_3 = {"Real": "Float64", "Boolean": "Boolean", "Enumeration": "Enumeration", "Integer": "Int32"}
+TYPES_3 = {
+    "Real": "Float64",
+    "Boolean": "Boolean",
+    "Enumeration": "Enumeration",
+    "Integer": "Int32",
+}
 
 
 def _interfaces_3(root: ET.Element, interface: Interface) -> None:
@@ -199,7 +253,13 @@ def _interfaces_3(root: ET.Element, interface: Interface) -> None:
     if interface.exchange:
         _element(root, "ModelExchange", **common)
     fixed = None if interface.continuous else interface.sample_time
-    _element(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize=True, fixedInternalStepSize=fixed)
+    _element(
+        root,
+        "CoSimulation",
+        **common,
+        canHandleVariableCommunicationStepSize=True,
+        fixedInternalStepSize=fixed,
+    )
 
 
 def _variables_3(root: ET.Element, interface: Interface) -> None:
@@ -207,10 +267,17 @@ def _variables_3(root: ET.Element, interface: Interface) -> None:
     state_of = {der.name: state.reference for der, state in interface.rates}
     for x in interface.variables:
         _element(
-            parent, TYPES_3[x.type], name=x.name, valueReference=x.reference, description=_description(x),
-            causality=x.causality, variability=x.variability, initial=x.initial,
-            **_value_attributes(interface, x), derivative=state_of.get(x.name),
-        )  # fmt: skip
+            parent,
+            TYPES_3[x.type],
+            name=x.name,
+            valueReference=x.reference,
+            description=_description(x),
+            causality=x.causality,
+            variability=x.variability,
+            initial=x.initial,
+            **_value_attributes(interface, x),
+            derivative=state_of.get(x.name),
+        )
 
 
 def _structure_3(root: ET.Element, interface: Interface) -> None:
@@ -219,7 +286,12 @@ def _structure_3(root: ET.Element, interface: Interface) -> None:
     structure = _element(root, "ModelStructure")
 
     def unknown(tag: str, name: str, dependencies: list[Exposed]) -> None:
-        _element(structure, tag, valueReference=reference[name], dependencies=" ".join(str(x.reference) for x in dependencies))
+        _element(
+            structure,
+            tag,
+            valueReference=reference[name],
+            dependencies=" ".join(str(x.reference) for x in dependencies),
+        )
 
     for x in interface.of("output"):
         unknown("Output", x.name, at_one_instant[x.name])
@@ -248,7 +320,9 @@ def build_description(interface: Interface, sources: Sequence[str]) -> bytes:
     """Return sources/buildDescription.xml for FMI 3.0."""
     root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     configuration = _element(root, "BuildConfiguration", modelIdentifier=interface.program.name)
-    files = _element(configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off")
+    files = _element(
+        configuration, "SourceFileSet", language="C99", compilerOptions="-ffp-contract=off"
+    )
     for name in sources:
         _element(files, "SourceFile", name=name)
     _element(configuration, "Library", name="m", external=True)

@@ -26,7 +26,8 @@ Written = Callable[[str], tuple[str, float]]
 
 MAX_UNPACKED = 1 << 30  # bytes an FMU may unpack to
 MAX_ENTRIES = 20_000  # files in an FMU
-MAX_RATIO, RATIO_FROM = 100, 1 << 26  # largest ratio of unpacked to packed size, checked from 64 MiB on (archive bombs)
+# largest ratio of unpacked to packed size, checked from 64 MiB on (archive bombs)
+MAX_RATIO, RATIO_FROM = 100, 1 << 26
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: a modelIdentifier is a C identifier
 
 _REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean",)
@@ -34,7 +35,9 @@ _REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean
 
 @dataclass(frozen=True)
 class Alias:
-    """A variable of an FMU under another name: its own name, and how much one of its number is, in the unit of the other name."""
+    """A variable of an FMU under another name: its own name, and how much one of its number is, in
+    the unit of the other name.
+    """
 
     name: str
     factor: float = 1.0
@@ -51,7 +54,8 @@ class Fmu:
     foreign : bool
         Whether it comes from elsewhere: it is then validated, and run in a process of its own.
     aliases : mapping of str to Alias, optional
-        Names under which variables are known instead of their own; units, limits and values are then those of the alias.
+        Names under which variables are known instead of their own; units, limits and values are
+        then those of the alias.
 
     Raises
     ------
@@ -59,7 +63,9 @@ class Fmu:
         If it is not a readable Co-Simulation FMU of FMI 2 or 3, or not safe to unpack.
     """
 
-    def __init__(self, path: Path, foreign: bool = False, aliases: Mapping[str, Alias] | None = None) -> None:
+    def __init__(
+        self, path: Path, foreign: bool = False, aliases: Mapping[str, Alias] | None = None
+    ) -> None:
         if not isinstance(path, str | Path):
             raise BristleError(f"the FMU is a {type(path).__name__}; give the path of an .fmu file")
         self.path, self.foreign = Path(path), foreign
@@ -69,7 +75,10 @@ class Fmu:
         own = {v.name: v for v in self.description.modelVariables}
         for alias, variable in self.aliases.items():
             if variable.name not in own:
-                raise BristleError(f"FMU {self.path}: no variable '{variable.name}' for {alias}{suggest(variable.name, list(own))}")
+                raise BristleError(
+                    f"FMU {self.path}: no variable '{variable.name}' for"
+                    f" {alias}{suggest(variable.name, list(own))}"
+                )
         taken = {variable.name for variable in self.aliases.values()}
         self.variables = {name: v for name, v in own.items() if name not in taken}
         self.variables |= {alias: own[variable.name] for alias, variable in self.aliases.items()}
@@ -95,12 +104,14 @@ class Fmu:
             raise BristleError(f"FMU {self.path}: not a zip archive; give an .fmu file") from None
         if len(entries) > MAX_ENTRIES:
             raise BristleError(
-                f"FMU {self.path}: holds {len(entries)} files; allowed are {MAX_ENTRIES}: pack the resources it needs"
+                f"FMU {self.path}: holds {len(entries)} files; allowed are {MAX_ENTRIES}: pack the"
+                " resources it needs"
             )
         if unpacked > MAX_UNPACKED or (unpacked > RATIO_FROM and unpacked > MAX_RATIO * packed):
             raise BristleError(
-                f"FMU {self.path}: {packed} bytes unpack to {unpacked}; allowed are {MAX_UNPACKED} bytes and, "
-                f"from {RATIO_FROM} on, {MAX_RATIO} times the archive; this looks like an archive bomb"
+                f"FMU {self.path}: {packed} bytes unpack to {unpacked}; allowed are {MAX_UNPACKED}"
+                f" bytes and, from {RATIO_FROM} on, {MAX_RATIO} times the archive; this looks like"
+                " an archive bomb"
             )
 
     def _read(self) -> Any:
@@ -108,17 +119,30 @@ class Fmu:
 
         try:
             description = read_model_description(str(self.path), validate=self.foreign)
-        except Exception as error:  # FMPy passes on the exceptions of zipfile, lxml and its own parser
+        # FMPy passes on the exceptions of zipfile, lxml and its own parser
+        except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            if isinstance(error, AttributeError | KeyError | TypeError):  # an element or attribute is missing
-                reason = "modelDescription.xml is not one of FMI, or lacks an attribute such as fmiVersion"
-            raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
+            # an element or attribute is missing
+            if isinstance(error, AttributeError | KeyError | TypeError):
+                reason = (
+                    "modelDescription.xml is not one of FMI, or lacks an attribute such as"
+                    " fmiVersion"
+                )
+            raise BristleError(
+                f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file"
+            ) from None
         kinds = self._kinds(description)
         if not kinds or description.fmiMajorVersion not in (2, 3):
-            raise BristleError(f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as Co-Simulation")
+            raise BristleError(
+                f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as"
+                " Co-Simulation"
+            )
         for identifier in (str(kind.modelIdentifier) for kind in kinds):
             if IDENTIFIER.fullmatch(identifier) is None:
-                raise BristleError(f"FMU {self.path}: modelIdentifier '{identifier}' is not a plain name; do not trust this file")
+                raise BristleError(
+                    f"FMU {self.path}: modelIdentifier '{identifier}' is not a plain name; do not"
+                    " trust this file"
+                )
         return description
 
     @staticmethod
@@ -140,11 +164,17 @@ class Fmu:
     def kind(self) -> str:
         """``python`` for an FMU that needs a Python host, else ``native``."""
         with zipfile.ZipFile(self.path) as archive:
-            return "python" if any(re.fullmatch(r"resources/[^/]+\.py", name) for name in archive.namelist()) else "native"
+            return (
+                "python"
+                if any(re.fullmatch(r"resources/[^/]+\.py", name) for name in archive.namelist())
+                else "native"
+            )
 
     @property
     def risky(self) -> bool:
-        """Whether its library may harm the process that loads it: somebody else's, or pythonfmu's."""
+        """Whether its library may harm the process that loads it: somebody else's, or
+        pythonfmu's.
+        """
         return self.foreign or self.kind == "python"
 
     def names(self, causality: str) -> list[str]:
@@ -194,29 +224,42 @@ class Fmu:
         declared = variable.declaredType
         low = variable.min if variable.min is not None else declared.min if declared else None
         high = variable.max if variable.max is not None else declared.max if declared else None
-        ends = float(low) if low is not None else -math.inf, float(high) if high is not None else math.inf
+        ends = (
+            float(low) if low is not None else -math.inf,
+            float(high) if high is not None else math.inf,
+        )
         low, high = sorted(end * self.factor(name) for end in ends)
         return low, high
 
     def start(self, name: str) -> float:
         """Return the start value of a numeric variable."""
         start = self.variables[name].start
-        return float(start in ("true", "1")) if self.variables[name].type in _BOOLEAN else float(start) * self.factor(name)
+        return (
+            float(start in ("true", "1"))
+            if self.variables[name].type in _BOOLEAN
+            else float(start) * self.factor(name)
+        )
 
-    def parameter(self, name: str, given: object, known: Sequence[str] = (), written: Written | None = None) -> Value:
+    def parameter(
+        self, name: str, given: object, known: Sequence[str] = (), written: Written | None = None
+    ) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.
 
-        `known` are the names for the error message; all parameters by default. `written` returns, for a unit of the FMU, the
-        one that a user writes, and what one of it is worth; by default the FMU's own.
+        `known` are the names for the error message; all parameters by default. `written` returns,
+        for a unit of the FMU, the one that a user writes, and what one of it is worth; by default
+        the FMU's own.
 
         Raises
         ------
         BristleError
-            If the parameter is unknown or the value does not fit; the message does not name the place in a file.
+            If the parameter is unknown or the value does not fit; the message does not name the
+            place in a file.
         """
         if not self.has(name, "parameter"):
             known = known or self.names("parameter")
-            raise BristleError(f"no such parameter{suggest(name, known)}; known: {', '.join(known)}")
+            raise BristleError(
+                f"no such parameter{suggest(name, known)}; known: {', '.join(known)}"
+            )
         kind = self.variables[name].type
         if kind in _ENUMERATION:
             return self._choice(name, given)
@@ -237,10 +280,14 @@ class Fmu:
         choices = self.choices(name)
         if isinstance(given, str) and given in choices:
             return choices[given]
-        raise BristleError(f"not a choice{suggest(str(given), list(choices))}; choose one of: {', '.join(choices)}")
+        raise BristleError(
+            f"not a choice{suggest(str(given), list(choices))}; choose one of: {', '.join(choices)}"
+        )
 
     def physical(self, name: str, given: object, written: Written | None = None) -> float:
-        """Read a value with its unit and check it against the interval of variable `name`; `written` as in `parameter`."""
+        """Read a value with its unit and check it against the interval of variable `name`;
+        `written` as in `parameter`.
+        """
         unit, worth = (self.unit(name), 1.0) if written is None else written(self.unit(name))
         if not isinstance(given, (str, int, float)):
             raise BristleError(f'not a quantity; write a number with a unit such as "1 {unit}"')
@@ -252,18 +299,25 @@ class Fmu:
         return value
 
     def check_si(self, name: str, *units: str) -> None:
-        """Raise BristleError if a variable declares another unit than one of `units`; one without a unit is accepted."""
+        """Raise BristleError if a variable declares another unit than one of `units`; one without a
+        unit is accepted.
+        """
         have = self.unit(name)
         if have == "1":
             return
         try:
             given = parse_unit(have)
-            same = any((given.exponents, given.factor) == (parse_unit(unit).exponents, parse_unit(unit).factor) for unit in units)
+            same = any(
+                (given.exponents, given.factor)
+                == (parse_unit(unit).exponents, parse_unit(unit).factor)
+                for unit in units
+            )
         except BristleError:
             same = False
         if not same:
             raise BristleError(
-                f"FMU {self.path}: variable '{name}' is in {have}; bristle connects it in {units[0]}: export it in {units[0]}"
+                f"FMU {self.path}: variable '{name}' is in {have}; bristle connects it in"
+                f" {units[0]}: export it in {units[0]}"
             )
 
 
@@ -288,12 +342,16 @@ _callbacks: Any = None
 
 
 def _callbacks2() -> Any:
-    """Return the FMI 2 callbacks that collect messages; one set, because FMPy's formatting proxy serves one logger."""
+    """Return the FMI 2 callbacks that collect messages; one set, because FMPy's formatting proxy
+    serves one logger.
+    """
     global _callbacks
     if _callbacks is None:
         from fmpy import calloc, fmi2, free
 
-        def log(_environment: object, _name: bytes, status: int, _category: bytes, message: bytes) -> None:
+        def log(
+            _environment: object, _name: bytes, status: int, _category: bytes, message: bytes
+        ) -> None:
             if status > fmi2.fmi2OK and message:
                 _messages.add(message)
 
@@ -317,7 +375,8 @@ def _log3(_environment: object, status: int, _category: bytes, message: bytes) -
 class Slave:
     """A loaded and instantiated FMU; a context manager that frees it and removes what it unpacked.
 
-    `beside`: another instance of the same file, of whose library this is one more; it must be closed after this one.
+    `beside`: another instance of the same file, of whose library this is one more; it must be
+    closed after this one.
     """
 
     def __init__(self, fmu: Fmu, name: str, beside: Slave | None = None) -> None:
@@ -345,9 +404,16 @@ class Slave:
         }
         try:
             if self._folder == self._temporary.name:
-                extract(str(self.fmu.path), self._folder, lambda name: name.startswith((binaries, "resources/")))
+                extract(
+                    str(self.fmu.path),
+                    self._folder,
+                    lambda name: name.startswith((binaries, "resources/")),
+                )
             if not list(Path(self._folder).glob(f"{binaries}*")):
-                raise BristleError(f"FMU {self.fmu.path}: no binary for this machine ({binaries}); export one for it")
+                raise BristleError(
+                    f"FMU {self.fmu.path}: no binary for this machine ({binaries}); export one"
+                    " for it"
+                )
             Path(self._folder, "resources").mkdir(exist_ok=True)
             if self.fmu.fmi == 2:
                 WATCH.begin(self.fmu.path, Call.load)
@@ -364,13 +430,21 @@ class Slave:
         except BristleError:
             raise
         except Exception as error:
-            other = BristleError(f"FMU {self.fmu.path}: cannot be loaded: {self._why(error)}; rebuild or replace it")
+            other = BristleError(
+                f"FMU {self.fmu.path}: cannot be loaded: {self._why(error)}; rebuild or replace it"
+            )
             raise no_room(error) or other from None
 
     def _library(self, binaries: str) -> str:
         from fmpy import sharedLibraryExtension
 
-        return str(Path(self._folder, binaries, self.fmu.description.coSimulation.modelIdentifier + sharedLibraryExtension))
+        return str(
+            Path(
+                self._folder,
+                binaries,
+                self.fmu.description.coSimulation.modelIdentifier + sharedLibraryExtension,
+            )
+        )
 
     @staticmethod
     def _why(error: BaseException) -> str:
@@ -396,12 +470,21 @@ class Slave:
     def __enter__(self) -> Slave:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def set_value(self, name: str, value: Value) -> None:
         """Set one variable by name."""
-        vr, kind, instance = [self.fmu.reference(name)], self.fmu.variables[name].type, self.instance
+        vr, kind, instance = (
+            [self.fmu.reference(name)],
+            self.fmu.variables[name].type,
+            self.instance,
+        )
         if kind == "String":
             instance.setString(vr, [value])
         elif kind == "Boolean":
@@ -419,7 +502,9 @@ class Slave:
         vr, instance = [self.fmu.reference(name)], self.instance
         if self.fmu.variables[name].type == "Boolean":
             return float(instance.getBoolean(vr)[0])
-        return float((instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0]) * self.fmu.factor(name)
+        return float(
+            (instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0]
+        ) * self.fmu.factor(name)
 
     def initialise(self, values: Mapping[str, Value], time: float = 0.0) -> None:
         """Set start values and go through initialisation at a start time [s]."""
@@ -438,7 +523,8 @@ class Slave:
             WATCH.end()
         except Exception as error:
             raise BristleError(
-                f"{self.name} ({self.fmu.path.name}): initialisation refused: {self._why(error)}; check its parameters"
+                f"{self.name} ({self.fmu.path.name}): initialisation refused: {self._why(error)};"
+                " check its parameters"
             ) from None
 
     def reset(self) -> None:

@@ -16,12 +16,25 @@ from bristle.model.variables import Parameter, State
 SX = ca.SX
 
 CAUSALITY = {
-    "time": "independent", "selector": "parameter", "index": "parameter", "parameter": "parameter",
-    "calculated": "calculatedParameter", "input": "input", "output": "output", "running": "output",
-    "state": "local", "der": "local",
-}  # fmt: skip
-SCHEDULE = tuple(each.name for each in (SAMPLE_TIME, TOLERANCE, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # when what is computed
-INITIAL = {"parameter": "exact", "calculatedParameter": "calculated", "output": "calculated", "local": "calculated"}
+    "time": "independent",
+    "selector": "parameter",
+    "index": "parameter",
+    "parameter": "parameter",
+    "calculated": "calculatedParameter",
+    "input": "input",
+    "output": "output",
+    "running": "output",
+    "state": "local",
+    "der": "local",
+}
+# when what is computed
+SCHEDULE = tuple(each.name for each in (SAMPLE_TIME, TOLERANCE, MAX_STEP, MAX_STEPS, FRICTION_STEP))
+INITIAL = {
+    "parameter": "exact",
+    "calculatedParameter": "calculated",
+    "output": "calculated",
+    "local": "calculated",
+}
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,8 @@ class Exposed:
 
     @property
     def checked(self) -> tuple[float | None, float | None]:
-        """The limits that a call which sets it obeys; those of the index are checked at initialisation.
+        """The limits that a call which sets it obeys; those of the index are checked at
+        initialisation.
 
         A host that ignores the status of the call then cannot run the default instead.
         """
@@ -72,22 +86,29 @@ def symbols_in(expression: SX) -> set[str]:
 
 
 def tunable_parameters(program: Program) -> frozenset[str]:
-    """Return the parameters that may change between steps: nothing that is computed only once, at the start, contains them.
+    """Return the parameters that may change between steps: nothing that is computed only once, at
+    the start, contains them.
 
-    That leaves gains, limits, memories, and the sizes of effects. What says when something is computed stays as it is.
+    That leaves gains, limits, memories, and the sizes of effects. What says when something is
+    computed stays as it is.
     """
     fixed = set(SCHEDULE)
     for system in (variant.system for variant in program.variants):
         once = [value for block in system.constants for value in block.values()]
-        once += [value for _, value in system.calculated.values()] + [state.initial for state in system.carried.values()]
+        once += [value for _, value in system.calculated.values()] + [
+            state.initial for state in system.carried.values()
+        ]
         fixed = fixed.union(*map(symbols_in, once))
-    return frozenset(slot.name for slot in program.slots if slot.kind == "parameter" and slot.name not in fixed)
+    return frozenset(
+        slot.name for slot in program.slots if slot.kind == "parameter" and slot.name not in fixed
+    )
 
 
 class Interface:
     """The variables of a program as a host sees them.
 
-    States and derivatives are shown only where Model Exchange is offered: native, one variant, and a smooth one.
+    States and derivatives are shown only where Model Exchange is offered: native, one variant, and
+    a smooth one.
     """
 
     def __init__(self, program: Program, native: bool = True) -> None:
@@ -113,20 +134,34 @@ class Interface:
             return Exposed(slot, "Boolean" if variable.boolean else "Real", causality, "fixed")
         if variable.boolean:
             return Exposed(slot, "Boolean", causality, "discrete")
-        variability = "discrete" if slot.kind == "output" and not self._moves(slot.name) else "continuous"
-        nominal = self._size(slot.variable) if isinstance(slot.variable, State) else variable.nominal
-        return Exposed(slot, "Real", causality, variability, variable.minimum, variable.maximum, nominal)
+        variability = (
+            "discrete" if slot.kind == "output" and not self._moves(slot.name) else "continuous"
+        )
+        nominal = (
+            self._size(slot.variable) if isinstance(slot.variable, State) else variable.nominal
+        )
+        return Exposed(
+            slot, "Real", causality, variability, variable.minimum, variable.maximum, nominal
+        )
 
     def _moves(self, output: str) -> bool:
-        """True if an output can change between samples: it depends on a continuous state, an input or time."""
+        """True if an output can change between samples: it depends on a continuous state, an input
+        or time.
+        """
         for variant in self.program.variants:
             system = variant.system
-            if output in system.outputs and symbols_in(system.outputs[output][1]) & {*system.states, *system.inputs, "time"}:
+            if output in system.outputs and symbols_in(system.outputs[output][1]) & {
+                *system.states,
+                *system.inputs,
+                "time",
+            }:
                 return True
         return False
 
     def _size(self, state: State) -> float:
-        """Return the size of a state at the start values of the parameters: what its integration tolerance is relative to."""
+        """Return the size of a state at the start values of the parameters: what its integration
+        tolerance is relative to.
+        """
         system = self.program.variants[0].system
         names = list(system.parameters)
         size = ca.Function("size", [system.vector(names)], [system.expand(SX(state.scale))])
@@ -136,7 +171,9 @@ class Interface:
     @property
     def sample_time(self) -> float | None:
         """Start value of the sample time [s], None where nothing is sampled."""
-        return next((slot.start for slot in self.program.slots if slot.name == SAMPLE_TIME.name), None)
+        return next(
+            (slot.start for slot in self.program.slots if slot.name == SAMPLE_TIME.name), None
+        )
 
     @property
     def continuous(self) -> bool:
@@ -159,14 +196,18 @@ class Interface:
             return []
         at = {x.reference: x for x in self.variables}
         variant = self.program.variants[0]
-        return [(at[der], at[state]) for der, state in zip(variant.ders, variant.states, strict=True)]
+        return [
+            (at[der], at[state]) for der, state in zip(variant.ders, variant.states, strict=True)
+        ]
 
 
-# -- C tables ------------------------------------------------------------------------------------------------------------
+# -- C tables --------------------------------------------------------------------------------------
 
 
 def _moving(variant: Variant) -> tuple[int, int]:
-    """Return the range of `v[]` that a step of a variant changes, without outputs: first index and length."""
+    """Return the range of `v[]` that a step of a variant changes, without outputs: first index and
+    length.
+    """
     places = [*variant.states, *variant.ders, *variant.finite]
     return (min(places), max(places) - min(places) + 1) if places else (0, 0)
 
@@ -186,9 +227,13 @@ def _jacobian_places(interface: Interface) -> tuple[list[int], list[int]]:
     if interface.exchange:
         variant = program.variants[0]
         system = variant.system
-        for k, place in enumerate([*variant.ders, *(program.index[name] for name in system.outputs)]):
+        for k, place in enumerate(
+            [*variant.ders, *(program.index[name] for name in system.outputs)]
+        ):
             row[place] = k
-        for k, place in enumerate([*variant.states, *(program.index[name] for name in system.inputs)]):
+        for k, place in enumerate(
+            [*variant.states, *(program.index[name] for name in system.inputs)]
+        ):
             column[place] = k
     return row, column
 
@@ -213,7 +258,9 @@ def _quoted(texts: Sequence[str]) -> list[str]:
 def c_tables(interface: Interface, fmi: int) -> dict[str, str]:
     """Return interface.h and interface.c."""
     program = interface.program
-    shown = {x.reference: x for x in interface.variables if fmi == 3 or x.causality != "independent"}
+    shown = {
+        x.reference: x for x in interface.variables if fmi == 3 or x.causality != "independent"
+    }
     each = [shown.get(slot.index) for slot in program.slots]
     known = sum(1 for place in _jacobian_places(interface)[1] if place >= 0)
     row, column = _jacobian_places(interface)
@@ -254,7 +301,10 @@ extern const int MOVING[N_VARIANTS][2];   /* first and number of the places in v
         _table("char *const UNIT[N_V]", _quoted([x.slot.variable.unit if x else "" for x in each])),
         _table("short ROW[N_V]", row),
         _table("short COLUMN[N_V]", column),
-        _table("int MOVING[N_VARIANTS][2]", [f"{{{a}, {n}}}" for a, n in map(_moving, program.variants)]),
+        _table(
+            "int MOVING[N_VARIANTS][2]",
+            [f"{{{a}, {n}}}" for a, n in map(_moving, program.variants)],
+        ),
         "",
     ]
     return {"interface.h": header, "interface.c": "\n".join(body)}

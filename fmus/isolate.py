@@ -1,7 +1,8 @@
-"""Run a function in a process of its own, for FMUs from elsewhere: whatever one does there, this process goes on.
+"""Run a function in a process of its own, for FMUs from elsewhere: whatever one does there, this
+process goes on.
 
-The child process has a time limit, a limit on memory, on the size of a file and on what is kept of its output; all that it starts
-ends with it; and it answers in plain numbers and text (`answer`).
+The child process has a time limit, a limit on memory, on the size of a file and on what is kept of
+its output; all that it starts ends with it; and it answers in plain numbers and text (`answer`).
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ def isolated(
     Parameters
     ----------
     work : function of a module
-        `control`, shape (CONTROL_SIZE,), is shared memory: [0] counts finished items, for `progress` and as a sign of life.
-        Its answer is as of `write_answer`.
+        `control`, shape (CONTROL_SIZE,), is shared memory: [0] counts finished items, for
+        `progress` and as a sign of life. Its answer is as of `write_answer`.
     argument : object
         Whatever can be pickled.
     fmus : sequence of Path
@@ -58,7 +59,8 @@ def isolated(
     progress : function, optional
         Called now and then with the number of finished items.
     timeout : float, optional
-        Seconds after which the child process is ended; without it, it is ended when one call takes `LONGEST_CALL`.
+        Seconds after which the child process is ended; without it, it is ended when one call takes
+        `LONGEST_CALL`.
 
     Raises
     ------
@@ -85,7 +87,9 @@ def isolated(
     if "error" in answer:
         raise BristleError(str(answer["error"]))
     if "plain" in answer:
-        raise BristleError(f"{_name(fmus, control)}: {answer['plain']}; check the FMU and its parameters")
+        raise BristleError(
+            f"{_name(fmus, control)}: {answer['plain']}; check the FMU and its parameters"
+        )
     try:
         return read(answer["done"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError):
@@ -103,9 +107,12 @@ def _read(path: Path, fmus: Sequence[Path], control: Control) -> dict[str, Any] 
 def _start(folder: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(  # -P: do not import from the working directory
         [sys.executable, "-P", "-m", "bristle.fmus.supervisor", folder],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
         env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
-    )  # fmt: skip
+    )
 
 
 class _Output:
@@ -135,7 +142,10 @@ class _Output:
 
 
 def _wait(
-    child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None, timeout: float | None
+    child: subprocess.Popen[bytes],
+    control: Control,
+    progress: Callable[[int], None] | None,
+    timeout: float | None,
 ) -> float | None:
     """Wait until the child process ends; return the limit [s] that it ran into, or None."""
     begun = alive = time.monotonic()
@@ -175,15 +185,28 @@ def _name(fmus: Sequence[Path], control: Control) -> str:
 
 
 def _under_way(control: Control) -> str:
-    calls = {Call.load: "loading it", Call.instantiate: "instantiating it", Call.initialise: "initialising it"}
+    calls = {
+        Call.load: "loading it",
+        Call.instantiate: "instantiating it",
+        Call.initialise: "initialising it",
+    }
     calls |= {Call.step: f"its step {int(control[0]) + 1}", Call.free: "freeing it"}
     return calls.get(int(control[2]), "")  # type: ignore[call-overload, no-any-return]
 
 
-def _late_message(fmus: Sequence[Path], control: Control, limit: float, timeout: float | None) -> str:
+def _late_message(
+    fmus: Sequence[Path], control: Control, limit: float, timeout: float | None
+) -> str:
     during = f" ({_under_way(control)})" if _under_way(control) else ""
-    what = f"the simulation took longer than {limit:g} s{during}" if timeout else f"did not answer for {limit:g} s{during}"
-    return f"{_name(fmus, control)}: {what}; give it longer with --timeout, or replace the FMU if it hangs"
+    what = (
+        f"the simulation took longer than {limit:g} s{during}"
+        if timeout
+        else f"did not answer for {limit:g} s{during}"
+    )
+    return (
+        f"{_name(fmus, control)}: {what}; give it longer with --timeout, or replace the FMU if it"
+        " hangs"
+    )
 
 
 def _crash_message(fmus: Sequence[Path], control: Control, code: int, said: str) -> str:

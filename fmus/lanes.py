@@ -1,4 +1,6 @@
-"""The program behind an FMU of bristle, stepped in lanes: several runs at once, with the digits of the FMU."""
+"""The program behind an FMU of bristle, stepped in lanes: several runs at once, with the digits of
+the FMU.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ _making = threading.Lock()
 
 
 def lanes_of(what: str, variant: str | None = None, effects: Sequence[str] = ()) -> Lanes:
-    """Return lanes of their own of a plant, observer or controller; compiled once a process, or taken from the cache.
+    """Return lanes of their own of a plant, observer or controller; compiled once a process, or
+    taken from the cache.
 
     Parameters
     ----------

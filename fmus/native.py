@@ -33,7 +33,9 @@ def fmi_headers(fmi: int) -> dict[str, str]:
 def fmu_sources(interface: Interface, fmi: int) -> dict[str, str]:
     """Return file name -> text of all C sources of the FMU; they compile as they are."""
     folder = files("bristle.fmus") / "c"
-    own = {name: (folder / name).read_text(encoding="utf-8") for name in (*FMU_SOURCES, f"fmi{fmi}.c")}
+    own = {
+        name: (folder / name).read_text(encoding="utf-8") for name in (*FMU_SOURCES, f"fmi{fmi}.c")
+    }
     return c_sources(interface.program) | c_tables(interface, fmi) | own | fmi_headers(fmi)
 
 
@@ -50,7 +52,9 @@ def native_files(program: Program, fmi: int, platforms: Sequence[Platform]) -> d
     interface = Interface(program)
     sources = fmu_sources(interface, fmi)
     units = sorted(name for name in sources if name.endswith(".c"))
-    content = common_files(interface, fmi) | {f"sources/{name}": text.encode() for name, text in sources.items()}
+    content = common_files(interface, fmi) | {
+        f"sources/{name}": text.encode() for name, text in sources.items()
+    }
     if fmi == 2:
         content["modelDescription.xml"] = description_2(interface, units)
     else:

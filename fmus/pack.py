@@ -1,4 +1,6 @@
-"""Write files into a ZIP archive: equal files give equal bytes, and the archive appears only when it is complete."""
+"""Write files into a ZIP archive: equal files give equal bytes, and the archive appears only when
+it is complete.
+"""
 
 from __future__ import annotations
 
@@ -46,5 +48,7 @@ def write_archive(out: Path, files: Mapping[str, bytes]) -> Path:
             _fill(fresh, files)
             os.replace(fresh, out)
     except OSError as error:
-        raise BristleError(f"cannot write {out}: {error.strerror}; choose a writable folder with space") from None
+        raise BristleError(
+            f"cannot write {out}: {error.strerror}; choose a writable folder with space"
+        ) from None
     return out

@@ -1,6 +1,7 @@
 """The platforms that an FMU can be compiled for, and their binaries.
 
-Linux: any with glibc from 2.17 on. Where FMI 2 has one folder for two machines (darwin64), the library holds both.
+Linux: any with glibc from 2.17 on. Where FMI 2 has one folder for two machines (darwin64), the
+library holds both.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from bristle.model.compiler import HOST, Target, compile_shared
 MACHINES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
 SYSTEMS = {"win32": "windows", "darwin": "darwin"}
 
-FAT_MAGIC, FAT_ALIGNMENT = 0xCAFEBABE, 14  # of a Mach-O file for several machines; each begins at a multiple of 2**14
-CPU_TYPES = {"x86_64": (0x01000007, 3), "aarch64": (0x0100000C, 0)}  # CPU_TYPE_X86_64, CPU_TYPE_ARM64, and their subtypes
+# of a Mach-O file for several machines; each begins at a multiple of 2**14
+FAT_MAGIC, FAT_ALIGNMENT = 0xCAFEBABE, 14
+# CPU_TYPE_X86_64, CPU_TYPE_ARM64, and their subtypes
+CPU_TYPES = {"x86_64": (0x01000007, 3), "aarch64": (0x0100000C, 0)}
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,15 @@ class Platform:
         return f"{self.machine}-{self.system}"
 
     def folder(self, fmi: int) -> str:
-        """Return where the standard looks for its binary; FMI 2 has no name for Linux on ARM, so that of FMI 3 is used."""
+        """Return where the standard looks for its binary; FMI 2 has no name for Linux on ARM, so
+        that of FMI 3 is used.
+        """
         short = "win" if self.system == "windows" else self.system
-        return f"{short}64" if fmi == 2 and (self.machine == "x86_64" or self.system == "darwin") else self.name
+        return (
+            f"{short}64"
+            if fmi == 2 and (self.machine == "x86_64" or self.system == "darwin")
+            else self.name
+        )
 
 
 ALL = (
@@ -59,7 +68,8 @@ def host() -> Platform:
 
 
 def find_platforms(text: str) -> tuple[Platform, ...]:
-    """Return the platforms of a text: ``host``, ``all``, or names of FMI 2 or 3 separated by commas.
+    """Return the platforms of a text: ``host``, ``all``, or names of FMI 2 or 3 separated by
+    commas.
 
     Raises
     ------
@@ -73,13 +83,18 @@ def find_platforms(text: str) -> tuple[Platform, ...]:
         else:
             some = [each for each in ALL if name in ("all", each.name, each.folder(2))]
         if not some:
-            raise BristleError(f"unknown platform '{name}'{suggest(name, NAMES)}; known: host, all, {', '.join(NAMES)}")
+            raise BristleError(
+                f"unknown platform '{name}'{suggest(name, NAMES)}; known: host, all,"
+                f" {', '.join(NAMES)}"
+            )
         for each in some:
             found.setdefault(each.name, each)
     return tuple(found.values())
 
 
-def binaries(name: str, sources: Mapping[str, str], fmi: int, chosen: Sequence[Platform]) -> dict[str, bytes]:
+def binaries(
+    name: str, sources: Mapping[str, str], fmi: int, chosen: Sequence[Platform]
+) -> dict[str, bytes]:
     """Return the binaries of an FMU by their places in it.
 
     Parameters
@@ -100,9 +115,17 @@ def binaries(name: str, sources: Mapping[str, str], fmi: int, chosen: Sequence[P
     """
     places: dict[str, list[Platform]] = {}
     for each in chosen:
-        places.setdefault(f"binaries/{each.folder(fmi)}/{name}{each.target.suffix}", []).append(each)
-    made = {place: {each.machine: _compiled(name, sources, each.target) for each in some} for place, some in places.items()}
-    return {place: next(iter(some.values())) if len(some) == 1 else fat(some) for place, some in made.items()}
+        places.setdefault(f"binaries/{each.folder(fmi)}/{name}{each.target.suffix}", []).append(
+            each
+        )
+    made = {
+        place: {each.machine: _compiled(name, sources, each.target) for each in some}
+        for place, some in places.items()
+    }
+    return {
+        place: next(iter(some.values())) if len(some) == 1 else fat(some)
+        for place, some in made.items()
+    }
 
 
 def _compiled(name: str, sources: Mapping[str, str], target: Target) -> bytes:

@@ -1,4 +1,6 @@
-"""Simulate a plant FMU over measured inputs: segment by segment, each from a given state, or over whole records."""
+"""Simulate a plant FMU over measured inputs: segment by segment, each from a given state, or over
+whole records.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class ReplaySegment:
 
 @dataclass(frozen=True)
 class Replay:
-    """A simulation task: `outputs` by name, step h [s], segments; `start_variables` are those that set the start of outputs."""
+    """A simulation task: `outputs` by name, step h [s], segments; `start_variables` are those that
+    set the start of outputs.
+    """
 
     fmu: Fmu
     h: float
@@ -50,22 +54,33 @@ class Replay:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Outputs of each segment (n, len(outputs)), before each step; and how the FMU was restarted, in words."""
+    """Outputs of each segment (n, len(outputs)), before each step; and how the FMU was restarted,
+    in words.
+    """
 
     outputs: tuple[Array, ...]
     way: str
 
 
 def start_variable(fmu: Fmu, name: str) -> str | None:
-    """Return the variable that sets where output `name` starts: a parameter name_start, or the output's own start value."""
+    """Return the variable that sets where output `name` starts: a parameter name_start, or the
+    output's own start value.
+    """
     if fmu.has(f"{name}_start", "parameter") and fmu.is_real(f"{name}_start"):
         return f"{name}_start"
     own = fmu.variables.get(name)
-    return name if own is not None and fmu.is_real(name) and own.initial in ("exact", "approx") else None
+    return (
+        name
+        if own is not None and fmu.is_real(name) and own.initial in ("exact", "approx")
+        else None
+    )
 
 
-def replay_segments(task: Replay, progress: Callable[[int], None] | None = None, timeout: float | None = None) -> ReplayResult:
-    """Replay all segments in a child process, the FMU restarted for each; `progress` is called with the number done.
+def replay_segments(
+    task: Replay, progress: Callable[[int], None] | None = None, timeout: float | None = None
+) -> ReplayResult:
+    """Replay all segments in a child process, the FMU restarted for each; `progress` is called with
+    the number done.
 
     It may take `timeout` seconds.
 
@@ -83,7 +98,11 @@ def replay_segments(task: Replay, progress: Callable[[int], None] | None = None,
 
 
 def _replayed(answer: Any) -> ReplayResult | str:
-    return str(answer["reason"]) if "reason" in answer else ReplayResult(tuple(map(_series, answer["outputs"])), str(answer["way"]))
+    return (
+        str(answer["reason"])
+        if "reason" in answer
+        else ReplayResult(tuple(map(_series, answer["outputs"])), str(answer["way"]))
+    )
 
 
 def _series(answer: Any) -> Array:
@@ -91,15 +110,22 @@ def _series(answer: Any) -> Array:
 
 
 def replay_records(task: Replay, timeout: float | None = None) -> ReplayResult:
-    """Replay each segment in a process of its own, so that no restart is needed; each may take `timeout` seconds.
+    """Replay each segment in a process of its own, so that no restart is needed; each may take
+    `timeout` seconds.
 
     Errors are those of `replay_segments`.
     """
     paths = [task.fmu.path]
-    return ReplayResult(tuple(isolated(_whole, (task, segment), paths, _series, None, timeout) for segment in task.segments), "")
+    return ReplayResult(
+        tuple(
+            isolated(_whole, (task, segment), paths, _series, None, timeout)
+            for segment in task.segments
+        ),
+        "",
+    )
 
 
-# -- in the child process ----------------------------------------------------------------------------------------------------
+# -- in the child process --------------------------------------------------------------------------
 
 
 def _segments(task: Replay, control: Control) -> dict[str, Any]:
@@ -159,7 +185,9 @@ class _Replayer:
         if self.way == "reset":
             instance.reset()
         elif self.way == "snapshot":
-            (instance.setFMUState if self.task.fmu.fmi == 3 else instance.setFMUstate)(self._snapshot)
+            (instance.setFMUState if self.task.fmu.fmi == 3 else instance.setFMUstate)(
+                self._snapshot
+            )
         else:
             self._snapshot = None  # it belongs to the old instance
             self._slave.close()
@@ -178,9 +206,13 @@ class _Replayer:
         bad = np.argwhere(~np.isfinite(outputs))
         if len(bad):
             k, j = bad[0]
-            shown, time = f"{self.task.outputs[j]} is {outputs[k, j]}", segment.time + k * self.task.h
+            shown, time = (
+                f"{self.task.outputs[j]} is {outputs[k, j]}",
+                segment.time + k * self.task.h,
+            )
             raise BristleError(
-                f"FMU {self.task.fmu.path}: output {shown} at {time:.6g} s, not a finite number; check how it treats its inputs"
+                f"FMU {self.task.fmu.path}: output {shown} at {time:.6g} s, not a finite number;"
+                " check how it treats its inputs"
             )
         return outputs
 
@@ -200,23 +232,28 @@ class _Replayer:
                 said = self._slave.last_message()
                 why = " ".join(str(error).split()) if said == "no message" else said
                 raise BristleError(
-                    f"FMU {self.task.fmu.path}: refused the step of {h:g} s at {time:.6g} s: {why}; "
-                    "check its step sizes and input ranges, or resample the record"
+                    f"FMU {self.task.fmu.path}: refused the step of {h:g} s at {time:.6g} s: {why};"
+                    " check its step sizes and input ranges, or resample the record"
                 ) from None
 
     def _shown(self) -> list[float]:
         instance = self._slave.instance
         values = (instance.getFloat64 if self.task.fmu.fmi == 3 else instance.getReal)(self._out)
-        return [value * self.task.fmu.factor(name) for value, name in zip(values, self.task.outputs, strict=True)]
+        return [
+            value * self.task.fmu.factor(name)
+            for value, name in zip(values, self.task.outputs, strict=True)
+        ]
 
     def close(self) -> None:
         """Free the instance."""
         self._slave.close()
 
-    # -- can it be restarted? --------------------------------------------------------------------------------------------
+    # -- can it be restarted? ----------------------------------------------------------------------
 
     def choose_restart(self) -> None:
-        """Choose a way to restart that works: equal starts give equal steps, and outputs start from their start values."""
+        """Choose a way to restart that works: equal starts give equal steps, and outputs start from
+        their start values.
+        """
         segment = max(self.task.segments, key=lambda s: sum(map(abs, s.start.values())))
         plain = self._trial(ReplaySegment(segment.time, segment.u, {}))
         reasons = []
@@ -224,13 +261,17 @@ class _Replayer:
             self.way = way
             try:
                 first, second = self._trial(segment), self._trial(segment)
-            except Exception as error:  # FMPy raises plain exceptions for an error status of the FMU
+            # FMPy raises plain exceptions for an error status of the FMU
+            except Exception as error:
                 reasons.append(f"it cannot be {RESTART_WAYS[way]} ({' '.join(str(error).split())})")
                 continue
             if not np.allclose(first, second, rtol=REPEAT_TOLERANCE, atol=REPEAT_TOLERANCE):
                 reasons.append(f"{RESTART_WAYS[way]}, it gives other outputs")
             elif ignored := self._ignored(segment, plain[0], first[0]):
-                reasons.append(f"its output {ignored} does not start at the value of {self.task.start_variables[ignored]}")
+                reasons.append(
+                    f"its output {ignored} does not start at the value of"
+                    f" {self.task.start_variables[ignored]}"
+                )
             else:
                 return
         raise RestartError("; ".join(reasons))
@@ -243,6 +284,9 @@ class _Replayer:
         for name, variable in self.task.start_variables.items():
             asked = segment.start[variable] - self.task.fmu.start(variable)
             place = self.task.outputs.index(name)
-            if abs(begun[place] - plain[place] - asked) > START_TOLERANCE * abs(asked) + REPEAT_TOLERANCE:
+            if (
+                abs(begun[place] - plain[place] - asked)
+                > START_TOLERANCE * abs(asked) + REPEAT_TOLERANCE
+            ):
                 return name
         return None

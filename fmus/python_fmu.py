@@ -27,12 +27,20 @@ def _tables(interface: Interface) -> str:
     """Return the generated module: equations, and the variables by value reference."""
     rows = [_row(x) for x in interface.variables if x.causality != "independent"]
     return python_source(interface.program) + "\n".join(
-        [f"TOKEN = {interface.program.token!r}", "VARIABLES = {  # name, type, when it may be set, limits", *rows, "}", ""]
+        [
+            f"TOKEN = {interface.program.token!r}",
+            "VARIABLES = {  # name, type, when it may be set, limits",
+            *rows,
+            "}",
+            "",
+        ]
     )
 
 
 def _script(interface: Interface, package: str) -> str:
-    """Return the file that pythonfmu looks for; it takes the class that derives from most others."""
+    """Return the file that pythonfmu looks for; it takes the class that derives from most
+    others.
+    """
     name, description = interface.program.name, interface.program.description
     return f"""\"\"\"{name}: {description} (generated).\"\"\"
 
@@ -40,8 +48,8 @@ import ctypes
 
 from {package} import slave, tables
 
-# pythonfmu 0.7 runs this file for every instance and then gives back one reference to its globals too many.
-ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+# pythonfmu 0.7 runs this file for every instance and then gives back one reference to its globals
+too many. ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
 class {name}(slave.Slave):
@@ -61,20 +69,28 @@ def _package(interface: Interface) -> dict[str, str]:
 
 
 def _pythonfmu() -> Path:
-    """Return the folder of the installed package; an FMU loaded in this process imports its own copy, without libraries."""
+    """Return the folder of the installed package; an FMU loaded in this process imports its own
+    copy, without libraries.
+    """
     return Path(str(distribution("pythonfmu").locate_file("pythonfmu")))
 
 
 def _library(folder: Path, suffix: str, model: str) -> bytes:
     found = sorted(folder.glob(f"*{suffix}"))
     if len(found) != 1:
-        raise BristleError(f"pythonfmu: no single *{suffix} for {model} in {folder}; reinstall pythonfmu")
+        raise BristleError(
+            f"pythonfmu: no single *{suffix} for {model} in {folder}; reinstall pythonfmu"
+        )
     return found[0].read_bytes()
 
 
 def _pythonfmu_licence() -> dict[str, bytes]:
     """Return pythonfmu's licence, which must accompany its files."""
-    found = [path for path in distribution("pythonfmu").files or () if path.name.upper().startswith("LICENSE")]
+    found = [
+        path
+        for path in distribution("pythonfmu").files or ()
+        if path.name.upper().startswith("LICENSE")
+    ]
     return {"documentation/licenses/pythonfmu.txt": found[0].read_binary()} if found else {}
 
 
@@ -90,7 +106,10 @@ def python_files(program: Program) -> dict[str, bytes]:
     content["resources/slavemodule.txt"] = script.encode()
     content |= _pythonfmu_licence()
     pythonfmu = _pythonfmu()
-    content |= {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in sorted(pythonfmu.glob("*.py"))}
+    content |= {
+        f"resources/pythonfmu/{file.name}": file.read_bytes()
+        for file in sorted(pythonfmu.glob("*.py"))
+    }
     for folder, suffix in (("linux64", ".so"), ("win64", ".dll")):
         binary = _library(pythonfmu / "resources" / "binaries" / folder, suffix, program.name)
         content[f"binaries/{folder}/{program.name}{suffix}"] = binary

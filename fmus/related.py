@@ -1,6 +1,8 @@
-"""Files inside an FMU that let somebody else repeat what it was seen to do: FMI-LS-REF, with experiments.
+"""Files inside an FMU that let somebody else repeat what it was seen to do: FMI-LS-REF, with
+experiments.
 
-The layered standard is young, as is the format of experiments; both are written here and nowhere else.
+The layered standard is young, as is the format of experiments; both are written here and nowhere
+else.
 
 Source: lsref2026, experiments2026.
 """
@@ -25,7 +27,13 @@ from bristle.common.xml import document
 from bristle.fmus.documentation import PAGE_STYLE
 from bristle.fmus.host import Fmu
 from bristle.fmus.pack import archive_bytes
-from bristle.fmus.reference import REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW, TUBE_HALF_WIDTH, waves
+from bristle.fmus.reference import (
+    REFERENCE_RUN_STEP,
+    REFERENCE_RUN_STEPS,
+    STEPS_PER_ROW,
+    TUBE_HALF_WIDTH,
+    waves,
+)
 from bristle.fmus.response import respond
 
 Array = NDArray[np.float64]
@@ -78,7 +86,8 @@ def related_files(
     stimuli: Mapping[str, Array] | None = None,
     report: Mapping[str, bytes] | None = None,
 ) -> dict[str, bytes]:
-    """Return the files to add to an FMU: manifest, parameter set, experiments with references, checksums.
+    """Return the files to add to an FMU: manifest, parameter set, experiments with references,
+    checksums.
 
     Parameters
     ----------
@@ -98,17 +107,46 @@ def related_files(
         tried = [] if (found := _smoke_test(fmu, step, stimuli)) is None else [found]
     values = _start_values(fmu)
     files = {PARAMETERS: parameter_set("start values", values)} if values else {}
-    related = [(PARAMETERS, SET_TYPE, "parameter", "start values of all parameters")] if values else []
+    related = (
+        [(PARAMETERS, SET_TYPE, "parameter", "start values of all parameters")] if values else []
+    )
     for each in (*tried, *experiments):
         files |= _experiment_files(each)
-        related.append((f"{each.purpose}.exp", EXPERIMENT_TYPE, f"experiment/{each.purpose}", each.description))
-        related.append((f"{each.purpose}-reference.csv", "text/csv", "result", f"outputs of {each.purpose}.exp"))
+        related.append(
+            (f"{each.purpose}.exp", EXPERIMENT_TYPE, f"experiment/{each.purpose}", each.description)
+        )
+        related.append(
+            (
+                f"{each.purpose}-reference.csv",
+                "text/csv",
+                "result",
+                f"outputs of {each.purpose}.exp",
+            )
+        )
     for name, data in (report or {}).items():
         files[name] = data
-        related.append((name, "application/json" if name.endswith(".json") else "text/html", "report", "how it was made"))
-    related.append((SUMS, "text/plain", "signature", "SHA-256 of the other files; finds damage, proves no origin"))
+        related.append(
+            (
+                name,
+                "application/json" if name.endswith(".json") else "text/html",
+                "report",
+                "how it was made",
+            )
+        )
+    related.append(
+        (
+            SUMS,
+            "text/plain",
+            "signature",
+            "SHA-256 of the other files; finds damage, proves no origin",
+        )
+    )
     page = {"documentation/fmi-ls-ref.html": _page(related).encode()}
-    added = page | {f"{FOLDER}/{name}": data for name, data in files.items()} | {MANIFEST: _manifest(related)}
+    added = (
+        page
+        | {f"{FOLDER}/{name}": data for name, data in files.items()}
+        | {MANIFEST: _manifest(related)}
+    )
     return added | {f"{FOLDER}/{SUMS}": _sums({**content, **added})}
 
 
@@ -128,20 +166,39 @@ def _smoke_test(fmu: Fmu, step: float, stimuli: Mapping[str, Array] | None) -> E
     except BristleError:  # it was compiled for other machines only, or takes no such inputs
         return None
     rows = np.arange(0, steps + 1, STEPS_PER_ROW)
-    kept = {name: column[rows] for name, column in zip(outputs, shown.T, strict=True) if np.isfinite(column).all()}
+    kept = {
+        name: column[rows]
+        for name, column in zip(outputs, shown.T, strict=True)
+        if np.isfinite(column).all()
+    }
     given = "sines" if stimuli is None else "measured inputs"
-    about = f"short run with {given if inputs else 'no inputs'}, to see that an importer steps this FMU as it should"
-    return Experiment("smoke-test", about, step, steps, inputs, {"time": np.asarray(step * rows, dtype=np.float64), **kept})
+    about = (
+        f"short run with {given if inputs else 'no inputs'}, to see that an importer steps this FMU"
+        " as it should"
+    )
+    return Experiment(
+        "smoke-test",
+        about,
+        step,
+        steps,
+        inputs,
+        {"time": np.asarray(step * rows, dtype=np.float64), **kept},
+    )
 
 
-# -- files ---------------------------------------------------------------------------------------------------------------
+# -- files -----------------------------------------------------------------------------------------
 def _experiment_files(experiment: Experiment) -> dict[str, bytes]:
     name, step = experiment.purpose, experiment.step
     files = {f"{name}.exp": _experiment_document(experiment)}
     if experiment.stimuli:
-        columns = {"time": step * np.arange(experiment.steps, dtype=np.float64), **experiment.stimuli}
+        columns = {
+            "time": step * np.arange(experiment.steps, dtype=np.float64),
+            **experiment.stimuli,
+        }
         files[f"{name}-stimuli.csv"] = table_text(columns).encode()
-    return files | {f"{name}-reference.csv": table_text(experiment.reference, REFERENCE_DIGITS).encode()}
+    return files | {
+        f"{name}-reference.csv": table_text(experiment.reference, REFERENCE_DIGITS).encode()
+    }
 
 
 def _experiment_document(experiment: Experiment) -> bytes:
@@ -149,7 +206,13 @@ def _experiment_document(experiment: Experiment) -> bytes:
     root = ET.Element("Experiments", name=name, description=experiment.description)
     one = ET.SubElement(root, "Experiment", name=name, description=experiment.description)
     stop = experiment.step * experiment.steps
-    ET.SubElement(one, "TransientSimulation", startTime="0.0", stopTime=f"{stop:.12g}", stepSize=f"{experiment.step:.12g}")
+    ET.SubElement(
+        one,
+        "TransientSimulation",
+        startTime="0.0",
+        stopTime=f"{stop:.12g}",
+        stepSize=f"{experiment.step:.12g}",
+    )
     if experiment.stimuli:
         ET.SubElement(one, "Stimuli", source=f"{name}-stimuli.csv")
     ET.SubElement(one, "References", source=f"{name}-reference.csv")
@@ -160,15 +223,22 @@ def _experiment_document(experiment: Experiment) -> bytes:
 
 def _manifest(related: Sequence[tuple[str, str, str, str]]) -> bytes:
     ET.register_namespace("fmi-ls", MANIFEST_SPACE)
-    root = ET.Element("fmiReferences", {f"{{{MANIFEST_SPACE}}}fmi-ls-{key}": value for key, value in STANDARD.items()})
+    root = ET.Element(
+        "fmiReferences",
+        {f"{{{MANIFEST_SPACE}}}fmi-ls-{key}": value for key, value in STANDARD.items()},
+    )
     for source, kind, role, description in related:
         ET.SubElement(root, "Related", type=kind, source=source, role=role, description=description)
     return document(root)
 
 
 def _sums(content: Mapping[str, bytes]) -> bytes:
-    """Return the checksums of all files, as `sha256sum --check` reads them from the folder of the FMU."""
-    return "".join(f"{hashlib.sha256(content[name]).hexdigest()}  {name}\n" for name in sorted(content)).encode()
+    """Return the checksums of all files, as `sha256sum --check` reads them from the folder of the
+    FMU.
+    """
+    return "".join(
+        f"{hashlib.sha256(content[name]).hexdigest()}  {name}\n" for name in sorted(content)
+    ).encode()
 
 
 def _page(related: Sequence[tuple[str, str, str, str]]) -> str:
@@ -177,10 +247,14 @@ def _page(related: Sequence[tuple[str, str, str, str]]) -> str:
         for source, _, role, text in related
     )
     about = (
-        f"In <code>{FOLDER}</code> (FMI-LS-REF). An experiment holds the inputs at every communication step and outputs after them,"
-        f" which an importer should meet to {TUBE_HALF_WIDTH:g} of the size of each signal. <code>bristle run</code> with the FMU"
-        " as its argument repeats them."
+        f"In <code>{FOLDER}</code> (FMI-LS-REF). An experiment holds the inputs at every"
+        " communication step and outputs after them, which an importer should meet to"
+        f" {TUBE_HALF_WIDTH:g} of the size of each signal. <code>bristle run</code> with the FMU as"
+        " its argument repeats them."
     )
     head = f'<meta charset="utf-8">\n<title>Related files</title>\n<style>{PAGE_STYLE}</style>'
     body = f"<h1>Related files</h1>\n<p>{about}</p>\n<table>\n{rows}</table>"
-    return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+    return (
+        "<!doctype html>\n<html"
+        f' lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+    )

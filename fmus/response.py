@@ -25,8 +25,17 @@ class _Task:
     start: float
 
 
-def respond(fmu: Fmu, h: float, steps: int, inputs: Mapping[str, Array], outputs: Sequence[str], *, start: float = 0.0) -> Array:
-    """Return the outputs of an FMU, shape (steps + 1, outputs): after initialisation, and after each step.
+def respond(
+    fmu: Fmu,
+    h: float,
+    steps: int,
+    inputs: Mapping[str, Array],
+    outputs: Sequence[str],
+    *,
+    start: float = 0.0,
+) -> Array:
+    """Return the outputs of an FMU, shape (steps + 1, outputs): after initialisation, and after
+    each step.
 
     Parameters
     ----------
@@ -57,9 +66,15 @@ def _simulated(task: _Task, control: Control) -> Array:
     with Slave(task.fmu, "alone") as slave:
         slave.initialise({}, task.start)
         instance = slave.instance
-        put: Callable[[Sequence[int], list[float]], None] = instance.setFloat64 if three else instance.setReal
-        get: Callable[[Sequence[int]], list[float]] = instance.getFloat64 if three else instance.getReal
-        into, out = ([task.fmu.reference(name) for name in names] for names in (task.inputs, task.outputs))
+        put: Callable[[Sequence[int], list[float]], None] = (
+            instance.setFloat64 if three else instance.setReal
+        )
+        get: Callable[[Sequence[int]], list[float]] = (
+            instance.getFloat64 if three else instance.getReal
+        )
+        into, out = (
+            [task.fmu.reference(name) for name in names] for names in (task.inputs, task.outputs)
+        )
         rows = np.column_stack([*task.inputs.values()]).tolist() if task.inputs else []
         shown = np.empty((task.steps + 1, len(out)))
         shown[0] = get(out) if out else []

@@ -1,6 +1,7 @@
 """The body of a pythonfmu FMU: the twin of c/instance.c around the twin of the C core.
 
-A copy of this file lies in every such FMU, beside a copy of model/runtime.py and the generated tables.
+A copy of this file lies in every such FMU, beside a copy of model/runtime.py and the generated
+tables.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ class RefusedError(RuntimeError):
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Keep the instance alive when the method raises: pythonfmu 0.7 then drops it, and again when it is freed."""
+    """Keep the instance alive when the method raises: pythonfmu 0.7 then drops it, and again when
+    it is freed.
+    """
 
     @functools.wraps(method)
     def call(self: Slave, *arguments: Any) -> Any:
@@ -52,14 +55,16 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self.stop = math.inf
         self.stale = False
 
-    # -- the state machine ---------------------------------------------------------------------------------------------
+    # -- the state machine -------------------------------------------------------------------------
 
     def _require(self, *modes: str) -> None:
         if self.mode not in modes:
             raise RefusedError(f"not allowed while the instance is in mode '{self.mode}'")
 
     @_guarded
-    def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None, tolerance: float | None
+    ) -> None:
         self._require("instantiated")
         if not math.isfinite(start_time):
             raise RefusedError("the start time must be finite")
@@ -98,14 +103,20 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         selector, place, _ = self.tables.CHOICE
         if selector < 0:
             return
-        chosen, index, most = int(self.core.v[selector]), int(self.core.v[place]), len(self.tables.VARIANTS)
+        chosen, index, most = (
+            int(self.core.v[selector]),
+            int(self.core.v[place]),
+            len(self.tables.VARIANTS),
+        )
         name, enumeration = self._variable(place)[0], self._variable(selector)[0]
         if not 0 <= index <= most:
             raise RefusedError(f"{name} = {index} is outside [0, {most}]; 0: as {enumeration} says")
         if index and chosen not in (self.tables.START[selector], index):
-            raise RefusedError(f"{name} = {index} contradicts {enumeration} = {chosen}; set one of the two")
+            raise RefusedError(
+                f"{name} = {index} contradicts {enumeration} = {chosen}; set one of the two"
+            )
 
-    # -- variables -----------------------------------------------------------------------------------------------------
+    # -- variables ---------------------------------------------------------------------------------
 
     def _get(self, references: Sequence[int], *kinds: str) -> list[float]:
         self._require("initialization", "step", "terminated", "failed")
@@ -174,7 +185,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         for reference in vrs:
             self._check(reference, math.nan, ("String",))
 
-    # -- steps ---------------------------------------------------------------------------------------------------------
+    # -- steps -------------------------------------------------------------------------------------
 
     def _check_step(self, point: float, h: float) -> None:
         time, slack = self.core.v[0], POINT_TOLERANCE * h + TIME_ROUNDING * abs(self.core.v[0])
@@ -182,7 +193,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         if not (math.isfinite(h) and h > 0.0):
             raise RefusedError(f"the step size must be finite and greater than 0, not {h!r}")
         if not abs(point - time) <= slack:
-            raise RefusedError(f"the communication point is {point!r} s, but the instance is at {time!r} s")
+            raise RefusedError(
+                f"the communication point is {point!r} s, but the instance is at {time!r} s"
+            )
         if not point + h > point:
             raise RefusedError(f"the step size {h!r} is too small to change the time {point!r}")
         if not point + h <= self.stop + slack:
@@ -195,18 +208,27 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self.core.v[0] = current_time
         try:
             self.core.advance(step_size)
-        except (CoreError, ArithmeticError, ValueError) as error:  # the last two: Python's own for overflow and NaN
+        # the last two: Python's own for overflow and NaN
+        except (CoreError, ArithmeticError, ValueError) as error:
             self.core.restore(before)
             self.mode, self.stale = "failed", True
-            raise RefusedError(f"{error} (at {current_time!r} s, step size {step_size!r} s)") from None
+            raise RefusedError(
+                f"{error} (at {current_time!r} s, step size {step_size!r} s)"
+            ) from None
         self.stale = False
         return True
 
-    # -- states of the whole instance ----------------------------------------------------------------------------------
+    # -- states of the whole instance --------------------------------------------------------------
 
     @_guarded
     def _get_fmu_state(self) -> dict[str, Any]:
-        return {"token": self.tables.TOKEN, "core": self.core.snapshot(), "mode": self.mode, "stop": self.stop, "stale": self.stale}
+        return {
+            "token": self.tables.TOKEN,
+            "core": self.core.snapshot(),
+            "mode": self.mode,
+            "stop": self.stop,
+            "stale": self.stale,
+        }
 
     @_guarded
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
@@ -222,7 +244,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     @staticmethod
     def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
-        """Return the state; damaged bytes give one that cannot be set, for here is no instance that could refuse them."""
+        """Return the state; damaged bytes give one that cannot be set, for here is no instance that
+        could refuse them.
+        """
         if state[:8] != b"%08x" % zlib.crc32(state[8:]):
             return {}
         found: dict[str, Any] = json.loads(state[8:])

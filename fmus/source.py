@@ -42,7 +42,9 @@ class Source:
 
 
 def source_program(sources: Sequence[Source], step: float) -> Program:
-    """Return the program of these outputs, whose levels begin within half a `step` [s] of their times."""
+    """Return the program of these outputs, whose levels begin within half a `step` [s] of their
+    times.
+    """
     system = System("stimuli", "inputs over time")
     for each in sources:
         value = SX(each.start)
@@ -55,6 +57,10 @@ def source_program(sources: Sequence[Source], step: float) -> Program:
     return Program("Stimuli", [system])
 
 
-def build_source(sources: Sequence[Source], step: float, out: Path, *, fmi: int = 2, platforms: str = "host") -> Path:
+def build_source(
+    sources: Sequence[Source], step: float, out: Path, *, fmi: int = 2, platforms: str = "host"
+) -> Path:
     """Write the FMU; `fmi` and `platforms` as of `build`."""
-    return write_archive(out, program_files(source_program(sources, step), fmi, "native", platforms))
+    return write_archive(
+        out, program_files(source_program(sources, step), fmi, "native", platforms)
+    )

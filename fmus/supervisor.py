@@ -1,7 +1,8 @@
 """The child process in which FMUs from elsewhere run: a supervisor, and the worker that it forks.
 
-The supervisor outlives whatever the FMU does to the worker, and ends all that the worker has started. On Linux that includes
-processes that left its group; where there is no fork, the worker alone runs and only itself is ended.
+The supervisor outlives whatever the FMU does to the worker, and ends all that the worker has
+started. On Linux that includes processes that left its group; where there is no fork, the worker
+alone runs and only itself is ended.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def main(folder: str) -> None:
 
 def _prctl(option: int, value: int) -> None:
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(option, ctypes.c_ulong(value), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
+        ctypes.CDLL(None).prctl(
+            option, ctypes.c_ulong(value), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0)
+        )
 
 
 def _limit() -> None:
@@ -58,9 +61,14 @@ def _limit() -> None:
     import resource
 
     most = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * MEMORY_SHARE)
-    for kind, size in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, LARGEST_FILE), (resource.RLIMIT_AS, most)):
+    for kind, size in (
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, LARGEST_FILE),
+        (resource.RLIMIT_AS, most),
+    ):
         soft, _ = resource.getrlimit(kind)
-        least = size if soft == resource.RLIM_INFINITY else min(size, soft)  # a lower limit of the user's stays
+        # a lower limit of the user's stays
+        least = size if soft == resource.RLIM_INFINITY else min(size, soft)
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (least, least))
 
@@ -80,7 +88,7 @@ def _work(place: Path) -> None:
     write_answer(place / "answer", outcome)
 
 
-# -- the supervisor ------------------------------------------------------------------------------------------------------
+# -- the supervisor --------------------------------------------------------------------------------
 
 
 def _watch_parent() -> None:
@@ -90,7 +98,9 @@ def _watch_parent() -> None:
 
 
 def _supervise(worker: int) -> NoReturn:
-    """Wait for the worker or for the end of the parent process, end what is left, and end like the worker."""
+    """Wait for the worker or for the end of the parent process, end what is left, and end like the
+    worker.
+    """
     os.close(1)
     os.close(2)  # what the worker writes ends when the worker does
     status = _ended(worker)
@@ -107,7 +117,9 @@ def _supervise(worker: int) -> NoReturn:
 
 
 def _ended(worker: int) -> int | None:
-    """Return the status of the worker once it has ended, or None if the parent process ends first."""
+    """Return the status of the worker once it has ended, or None if the parent process ends
+    first.
+    """
     waiting: list[int] = [0]
     with contextlib.suppress(AttributeError, OSError):
         waiting.append(os.pidfd_open(worker))
@@ -121,7 +133,9 @@ def _ended(worker: int) -> int | None:
 
 
 def _end_the_rest() -> None:
-    """End all processes that the worker has left behind; orphans have become children of this one."""
+    """End all processes that the worker has left behind; orphans have become children of this
+    one.
+    """
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         try:

@@ -1,4 +1,6 @@
-"""Terminals and icon of an FMU: variables that belong together, to be connected as one, and a picture for diagrams."""
+"""Terminals and icon of an FMU: variables that belong together, to be connected as one, and a
+picture for diagrams.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from xml.etree import ElementTree as ET
 from bristle.common.xml import document
 from bristle.fmus.interface import Interface
 
-BUS = ("u", "y_theta", "y_v")  # what plant, observer and controller exchange, by the names on the observer
+# what plant, observer and controller exchange, by the names on the observer
+BUS = ("u", "y_theta", "y_v")
 MEMBER = {"theta": "y_theta", "v": "y_v"}  # name on the bus of what a plant gives
 SIDE = 100.0  # of the icon, in the coordinate system of diagrams
 ICON = "icon"
@@ -33,14 +36,24 @@ def terminals(interface: Interface, icon: bool) -> bytes:
     corners = {"x1": str(-SIDE), "y1": str(-SIDE), "x2": str(SIDE), "y2": str(SIDE)}
     if icon:
         graphical = ET.SubElement(root, "GraphicalRepresentation")
-        ET.SubElement(graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"})
+        ET.SubElement(
+            graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"}
+        )
         ET.SubElement(graphical, "Icon", corners)
     if members := _members(interface):
         group = ET.SubElement(root, "Terminals")
         text = "voltage to the drive and what its sensor shows"
-        terminal = ET.SubElement(group, "Terminal", name="bus", matchingRule="bus", description=text)
+        terminal = ET.SubElement(
+            group, "Terminal", name="bus", matchingRule="bus", description=text
+        )
         for name, member in members:
-            ET.SubElement(terminal, "TerminalMemberVariable", variableName=name, memberName=member, variableKind="signal")
+            ET.SubElement(
+                terminal,
+                "TerminalMemberVariable",
+                variableName=name,
+                memberName=member,
+                variableKind="signal",
+            )
     return document(root)
 
 

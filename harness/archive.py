@@ -34,7 +34,9 @@ class Archive:
                 self.names = frozenset(archive.namelist())
                 size = sum(entry.file_size for entry in archive.infolist())
         except OSError as error:
-            raise BristleError(f"{path}: {error.strerror}; check the path of the {self.suffix} file") from None
+            raise BristleError(
+                f"{path}: {error.strerror}; check the path of the {self.suffix} file"
+            ) from None
         except zipfile.BadZipFile:
             raise BristleError(f"{path}: not a zip archive; give an {self.suffix} file") from None
         if size > MOST_BYTES:
@@ -50,7 +52,9 @@ class Archive:
         try:
             yield
         except BristleError as error:
-            raise error if str(error).startswith(f"{self.path}: ") else self.mistake(str(error)) from None
+            raise (
+                error if str(error).startswith(f"{self.path}: ") else self.mistake(str(error))
+            ) from None
 
     def read(self, name: str) -> bytes:
         """Return the content of one of its files."""
@@ -60,7 +64,9 @@ class Archive:
             with zipfile.ZipFile(self.path) as archive:
                 return archive.read(name)
         except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-            raise self.mistake(f"{name}: cannot be unpacked ({error}); make the file again") from None
+            raise self.mistake(
+                f"{name}: cannot be unpacked ({error}); make the file again"
+            ) from None
 
     def unpack(self, name: str, folder: Path) -> Path:
         """Write one of its files into a folder, under its last name, and return where."""

@@ -30,14 +30,18 @@ Told = Callable[[str, float], None]
 BASELINE_FILES = ("baseline.json", "result.json", "scenario.toml", "signals.npz")
 BASELINE_BYTES = 4_000_000  # of the signals of a baseline, before they are packed
 BYTES_A_SAMPLE = 16  # a value and two margins
-JUDGED_ESTIMATE = ("final", "error_percent", "settling_s")  # numbers of each estimate that are judged
+# numbers of each estimate that are judged
+JUDGED_ESTIMATE = ("final", "error_percent", "settling_s")
 SHOWN_VALUE = 30  # characters of a value that is no number, in a message
-SETTLING_STEPS = 1.0  # steps by which a settling time may differ at least: it is one of the sampled times
+# steps by which a settling time may differ at least: it is one of the sampled times
+SETTLING_STEPS = 1.0
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A number of result.json: how far another may be from it, why it does not exist, and whether it is judged at all."""
+    """A number of result.json: how far another may be from it, why it does not exist, and whether
+    it is judged at all.
+    """
 
     unit: str
     value: float | None
@@ -48,7 +52,9 @@ class Judged:
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals at some rows of a run: rows, shape (n,), and by name value, lower and upper bound, shape (n,) each."""
+    """Signals at some rows of a run: rows, shape (n,), and by name value, lower and upper bound,
+    shape (n,) each.
+    """
 
     rows: NDArray[np.int64]
     values: Mapping[str, Array]
@@ -58,7 +64,9 @@ class Signals:
 
 @dataclass(frozen=True)
 class Baseline:
-    """A reference: its result.json, signals with their tubes, judged numbers, and the runs that measured them."""
+    """A reference: its result.json, signals with their tubes, judged numbers, and the runs that
+    measured them.
+    """
 
     result: Mapping[str, Any]
     signals: Signals
@@ -66,10 +74,12 @@ class Baseline:
     runs: Sequence[Mapping[str, Any]]
 
 
-# -- making ----------------------------------------------------------------------------------------------------------
+# -- making ----------------------------------------------------------------------------------------
 
 
-def make_baseline(checked: Checked, progress: Told | None = None, ways: Sequence[Repeat] | None = None) -> Baseline:
+def make_baseline(
+    checked: Checked, progress: Told | None = None, ways: Sequence[Repeat] | None = None
+) -> Baseline:
     """Run a scenario, and again in all ways that change its rounding.
 
     Parameters
@@ -86,14 +96,20 @@ def make_baseline(checked: Checked, progress: Told | None = None, ways: Sequence
     BristleError
         If the scenario does not run to its end: it is then no reference.
     """
-    tell, ways = progress or (lambda name, share: None), repeats(checked.setup) if ways is None else ways
+    tell, ways = (
+        progress or (lambda name, share: None),
+        repeats(checked.setup) if ways is None else ways,
+    )
     tell("reference", 0.0)
     first = outcome(checked)
     if "diverged" in first.result:
         stopped = first.result["diverged"]
         what = f"{stopped['fmu']}: {stopped['message']}"
         raise checked.setup.loaded.error(
-            "duration", None, f"the run ends at {stopped['time_s']:g} s, {what}; a reference needs a run that reaches its end"
+            "duration",
+            None,
+            f"the run ends at {stopped['time_s']:g} s, {what}; a reference needs a run that reaches"
+            " its end",
         )
     reference = first.view.columns()
     spread, found, runs = Spread(reference), [], []
@@ -105,12 +121,19 @@ def make_baseline(checked: Checked, progress: Told | None = None, ways: Sequence
             spread.add(again.signals)
             found.append(again.result)
     if not found:
-        raise BristleError(f"{checked.setup.loaded.path}: it cannot be run again, {runs[0]['why'] if runs else 'in no way'}")
-    return Baseline(first.result, _stored(spread), measured_quantities(plain(first.result), found), runs)
+        raise BristleError(
+            f"{checked.setup.loaded.path}: it cannot be run again,"
+            f" {runs[0]['why'] if runs else 'in no way'}"
+        )
+    return Baseline(
+        first.result, _stored(spread), measured_quantities(plain(first.result), found), runs
+    )
 
 
 def _tried(way: Repeat) -> tuple[Repeated | None, str]:
-    """Return a repeated run, or why it could not be done: a compiler that fails says nothing about the scenario."""
+    """Return a repeated run, or why it could not be done: a compiler that fails says nothing about
+    the scenario.
+    """
     try:
         return way.run(), ""
     except BristleError as error:
@@ -128,10 +151,13 @@ def _differing(reference: Mapping[str, Array], again: Repeated | None) -> int:
 
 
 def _stored(spread: Spread) -> Signals:
-    """Return the tubes at the rows that are stored: those that `bristle run` writes, and as many others as there is room for."""
+    """Return the tubes at the rows that are stored: those that `bristle run` writes, and as many
+    others as there is room for.
+    """
     reference = spread.reference
     total = len(next(iter(reference.values())))
-    moving = max(1, sum(bool(np.ptp(values)) for values in reference.values()))  # what is constant packs into nothing
+    # what is constant packs into nothing
+    moving = max(1, sum(bool(np.ptp(values)) for values in reference.values()))
     room = BASELINE_BYTES // (BYTES_A_SAMPLE * moving) - THINNED_ROWS
     rows = np.union1d(thinned(total), thinned(total, max(THINNED_ROWS, room)))
     values, lower, upper = {}, {}, {}
@@ -142,17 +168,23 @@ def _stored(spread: Spread) -> Signals:
 
 
 def quantities_of(result: Mapping[str, Any]) -> dict[str, Judged]:
-    """Return the numbers of result.json that are judged: of each estimate, and what the servo did."""
+    """Return the numbers of result.json that are judged: of each estimate, and what the servo
+    did.
+    """
     found = {}
     for name, estimate in result["estimates"].items():
         for key in JUDGED_ESTIMATE:
             unit = {"final": estimate["unit"], "error_percent": "%", "settling_s": "s"}[key]
             value = _number(estimate[key])
-            found[f"estimates.{name}.{key}"] = Judged(unit, value, why="" if value is not None else _absent(estimate, key))
+            found[f"estimates.{name}.{key}"] = Judged(
+                unit, value, why="" if value is not None else _absent(estimate, key)
+            )
     for name, each in result.get("behaviour", {}).items():
         value = _number(each["value"])
         why = each.get("why") or _unreadable(each["value"])
-        found[f"behaviour.{name}"] = Judged(each["unit"], value, why="" if value is not None else why)
+        found[f"behaviour.{name}"] = Judged(
+            each["unit"], value, why="" if value is not None else why
+        )
     return found
 
 
@@ -180,8 +212,12 @@ def _number(value: object) -> float | None:
     return float(value)
 
 
-def measured_quantities(result: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, Judged]:
-    """Return the judged numbers of a result with tolerances that other results of the same scenario measure."""
+def measured_quantities(
+    result: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
+) -> dict[str, Judged]:
+    """Return the judged numbers of a result with tolerances that other results of the same scenario
+    measure.
+    """
     found = {}
     for path, each in quantities_of(result).items():
         known = [value for other in others if (value := _number(_value(other, path))) is not None]
@@ -192,7 +228,11 @@ def measured_quantities(result: Mapping[str, Any], others: Sequence[Mapping[str,
             found[path] = each
         else:
             spread = max(abs(value - each.value) for value in known)
-            found[path] = Judged(each.unit, each.value, SAFETY * spread + least_tolerance(path, each.value, result["step_s"]))
+            found[path] = Judged(
+                each.unit,
+                each.value,
+                SAFETY * spread + least_tolerance(path, each.value, result["step_s"]),
+            )
     return found
 
 
@@ -201,28 +241,41 @@ def _value(result: Mapping[str, Any], path: str) -> object:
 
 
 def least_tolerance(path: str, value: float, step: float) -> float:
-    """Return how far a number may be off where repeated runs do not differ: by its written digits, a time by one step."""
-    return WRITTEN_SHARE * abs(value) + (SETTLING_STEPS * step if path.endswith("settling_s") else 0.0)
+    """Return how far a number may be off where repeated runs do not differ: by its written digits,
+    a time by one step.
+    """
+    return WRITTEN_SHARE * abs(value) + (
+        SETTLING_STEPS * step if path.endswith("settling_s") else 0.0
+    )
 
 
-# -- files -----------------------------------------------------------------------------------------------------------
+# -- files -----------------------------------------------------------------------------------------
 
 
 def write_baseline(out: Path, name: str, found: Baseline, scenario: str, command: str = "") -> Path:
-    """Write a baseline into `out/name`, in the place of an older one: all files or none; `command` repeats it."""
+    """Write a baseline into `out/name`, in the place of an older one: all files or none; `command`
+    repeats it.
+    """
     target = out / name
     refuse_other(target)
     quantities = {path: vars(each) for path, each in found.quantities.items()}
     stored = found.signals
     tree = {
-        "scenario": name, "safety": SAFETY, "rows": len(stored.rows), "steps": found.result["steps"],
-        "step_s": found.result["step_s"], "runs": list(found.runs), "quantities": quantities,
+        "scenario": name,
+        "safety": SAFETY,
+        "rows": len(stored.rows),
+        "steps": found.result["steps"],
+        "step_s": found.result["step_s"],
+        "runs": list(found.runs),
+        "quantities": quantities,
         "provenance": {**found.result["provenance"], **provenance(), "command": command},
-    }  # fmt: skip
+    }
     files = {
-        "baseline.json": to_json(tree).encode(), "result.json": to_json(plain(found.result)).encode(),
-        "scenario.toml": scenario.encode(), "signals.npz": _packed(stored),
-    }  # fmt: skip
+        "baseline.json": to_json(tree).encode(),
+        "result.json": to_json(plain(found.result)).encode(),
+        "scenario.toml": scenario.encode(),
+        "signals.npz": _packed(stored),
+    }
     placed = {f"{name}/{file}": files[file] for file in BASELINE_FILES}
     with output_folder(out):
         replace_files(out, placed, list(placed))
@@ -233,7 +286,10 @@ def refuse_other(target: Path) -> None:
     """Refuse to write into a folder that holds anything but a baseline."""
     inside = {path.name for path in target.iterdir()} if target.is_dir() else set()
     if (target.exists() and not target.is_dir()) or inside - set(BASELINE_FILES):
-        raise BristleError(f"{target}: exists and is no baseline of bristle; write elsewhere or rename the scenario")
+        raise BristleError(
+            f"{target}: exists and is no baseline of bristle; write elsewhere or rename the"
+            " scenario"
+        )
 
 
 def _packed(stored: Signals) -> bytes:
@@ -242,7 +298,14 @@ def _packed(stored: Signals) -> bytes:
     values = np.array([stored.values[name] for name in names])
     below = np.array([stored.values[name] - stored.lower[name] for name in names])
     above = np.array([stored.upper[name] - stored.values[name] for name in names])
-    np.savez_compressed(out, names=np.array(names), rows=stored.rows, values=values, below=_outwards(below), above=_outwards(above))
+    np.savez_compressed(
+        out,
+        names=np.array(names),
+        rows=stored.rows,
+        values=values,
+        below=_outwards(below),
+        above=_outwards(above),
+    )
     return out.getvalue()
 
 
@@ -262,7 +325,9 @@ def read_baseline(folder: Path) -> Baseline:
     """
     tree, result = (read_json(folder / name) for name in ("baseline.json", "result.json"))
     try:
-        with np.load(io.BytesIO((folder / "signals.npz").read_bytes()), allow_pickle=False) as content:
+        with np.load(
+            io.BytesIO((folder / "signals.npz").read_bytes()), allow_pickle=False
+        ) as content:
             names = [str(name) for name in content["names"]]
             rows, values = content["rows"].astype(np.int64), content["values"]
             below, above = content["below"].astype(float), content["above"].astype(float)
@@ -274,21 +339,29 @@ def read_baseline(folder: Path) -> Baseline:
         if missing(rows, thinned(rows_of(result))):
             raise ValueError(rows)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
-        raise BristleError(f"{folder}: is no complete baseline; make it again with bristle accept") from None
+        raise BristleError(
+            f"{folder}: is no complete baseline; make it again with bristle accept"
+        ) from None
     signals = Signals(
-        rows, dict(zip(names, values, strict=True)), dict(zip(names, values - below, strict=True)),
+        rows,
+        dict(zip(names, values, strict=True)),
+        dict(zip(names, values - below, strict=True)),
         dict(zip(names, values + above, strict=True)),
-    )  # fmt: skip
+    )
     return Baseline(result, signals, quantities, runs)
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON file that holds an object; raise `BristleError` if it is none."""
+    """Return the content of a JSON file that holds an object; raise `BristleError` if it is
+    none.
+    """
     check_regular(path)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise BristleError(f"{path}: {error.strerror}; give a baseline, or a result folder of bristle run") from None
+        raise BristleError(
+            f"{path}: {error.strerror}; give a baseline, or a result folder of bristle run"
+        ) from None
     except (ValueError, RecursionError) as error:
         raise BristleError(f"{path}: no JSON ({error}); make the folder again") from None
     if not isinstance(tree, dict):

@@ -1,4 +1,6 @@
-"""What a servo did, in numbers that no single sample shows: sticking, break-away, limit cycle, energy."""
+"""What a servo did, in numbers that no single sample shows: sticking, break-away, limit cycle,
+energy.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,11 @@ STICK_SPEED = 0.01  # share of the rms velocity below which the servo counts as 
 STICK_SECONDS = 0.02  # s that it must stand still to stick; a passage through zero is shorter
 CYCLE_PERIODS = 5  # periods of a limit cycle, at least
 CYCLE_SPREAD = 0.05  # standard deviation of these periods over their mean, at most
-CYCLE_LEVEL = 0.1  # share of the amplitude by which the velocity must pass its mean, so that noise makes no period
+# share of the amplitude by which the velocity must pass its mean, so that noise makes no period
+CYCLE_LEVEL = 0.1
 LEAST_CYCLE = 1e-6  # amplitude of a limit cycle over the largest velocity of the run, at least
-MOVING_INPUTS = ("reference", "u_ff", "reference_scale", "tau_load", "load_scale")  # what moves a servo from outside
+# what moves a servo from outside
+MOVING_INPUTS = ("reference", "u_ff", "reference_scale", "tau_load", "load_scale")
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,9 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated run of a plant: step h [s], signals of shape (n,), J [kg.m2] and b [N.m/V] where the plant says what they are."""
+    """A simulated run of a plant: step h [s], signals of shape (n,), J [kg.m2] and b [N.m/V] where
+    the plant says what they are.
+    """
 
     h: float
     signals: Mapping[str, Array]
@@ -51,7 +57,8 @@ class Motion:
 
 
 def behaviour(motion: Motion) -> dict[str, Quantity]:
-    """Return stick share, break-away torque, amplitude and period of a limit cycle, and the energy balance.
+    """Return stick share, break-away torque, amplitude and period of a limit cycle, and the energy
+    balance.
 
     The break-away torque holds the viscous torque at the velocity at which standstill ends.
     """
@@ -59,7 +66,9 @@ def behaviour(motion: Motion) -> dict[str, Quantity]:
 
 
 def stick_intervals(v: Array, h: float) -> list[tuple[int, int]]:
-    """Return the rows (first, last + 1) over which |v| stays below the threshold for `STICK_SECONDS` or longer."""
+    """Return the rows (first, last + 1) over which |v| stays below the threshold for
+    `STICK_SECONDS` or longer.
+    """
     slow = np.abs(v) < STICK_SPEED * float(np.sqrt(np.mean(v**2)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
@@ -71,23 +80,40 @@ def _sticking(motion: Motion) -> dict[str, Quantity]:
     found = stick_intervals(v, motion.h)
     if not found:
         why = f"it never stands still for {STICK_SECONDS:g} s"
-        return {"stick_share": Quantity("1", None, why), "break_away_torque": Quantity(motion.torque_unit, None, why)}
+        return {
+            "stick_share": Quantity("1", None, why),
+            "break_away_torque": Quantity(motion.torque_unit, None, why),
+        }
     share = Quantity("1", sum(end - first for first, end in found) / len(v))
     left = [(first, end) for first, end in found if end < len(v)]
     if force is None or not left:
-        why = "the plant has no output F" if force is None else "it never moves again after it has stuck"
+        why = (
+            "the plant has no output F"
+            if force is None
+            else "it never moves again after it has stuck"
+        )
         return {"stick_share": share, "break_away_torque": Quantity(motion.torque_unit, None, why)}
     peaks = [float(np.abs(force[first : end + 1]).max()) for first, end in left]
-    return {"stick_share": share, "break_away_torque": Quantity(motion.torque_unit, float(np.median(peaks)))}
+    return {
+        "stick_share": share,
+        "break_away_torque": Quantity(motion.torque_unit, float(np.median(peaks))),
+    }
 
 
 def _cycle(motion: Motion) -> dict[str, Quantity]:
-    """Return amplitude (half of peak to peak, of the velocity) and period over the second half of the run."""
+    """Return amplitude (half of peak to peak, of the velocity) and period over the second half of
+    the run.
+    """
     late = slice(len(motion.signals["v"]) // 2, None)
     demands = [*MOVING_INPUTS, *(["u"] if motion.open_loop else [])]
-    moving = [name for name in demands if name in motion.signals and np.ptp(motion.signals[name][late])]
+    moving = [
+        name for name in demands if name in motion.signals and np.ptp(motion.signals[name][late])
+    ]
     if moving:
-        return _no_cycle(motion, f"{moving[0]} moves in the second half of the run: what follows it is no limit cycle")
+        return _no_cycle(
+            motion,
+            f"{moving[0]} moves in the second half of the run: what follows it is no limit cycle",
+        )
     v = motion.signals["v"][late] - np.mean(motion.signals["v"][late])
     amplitude = 0.5 * float(np.ptp(v))
     if not amplitude > LEAST_CYCLE * float(np.abs(motion.signals["v"]).max()):
@@ -95,7 +121,9 @@ def _cycle(motion: Motion) -> dict[str, Quantity]:
     periods = np.diff(_upward(v, CYCLE_LEVEL * amplitude)) * motion.h
     if len(periods) < CYCLE_PERIODS or np.std(periods) > CYCLE_SPREAD * np.mean(periods):
         return _no_cycle(
-            motion, f"its velocity does not repeat {CYCLE_PERIODS} times at equal intervals in the second half of the run"
+            motion,
+            f"its velocity does not repeat {CYCLE_PERIODS} times at equal intervals in the second"
+            " half of the run",
         )
     return {
         "limit_cycle_amplitude": Quantity(motion.speed_unit, amplitude),
@@ -104,7 +132,10 @@ def _cycle(motion: Motion) -> dict[str, Quantity]:
 
 
 def _no_cycle(motion: Motion, why: str) -> dict[str, Quantity]:
-    return {"limit_cycle_amplitude": Quantity(motion.speed_unit, None, why), "limit_cycle_period": Quantity("s", None, why)}
+    return {
+        "limit_cycle_amplitude": Quantity(motion.speed_unit, None, why),
+        "limit_cycle_period": Quantity("s", None, why),
+    }
 
 
 def _upward(v: Array, level: float) -> NDArray[np.intp]:
@@ -115,27 +146,47 @@ def _upward(v: Array, level: float) -> NDArray[np.intp]:
 
 
 def _energy(motion: Motion) -> dict[str, Quantity]:
-    """Return the work of drive and friction, and what of the first neither friction, load nor kinetic energy account for.
+    """Return the work of drive and friction, and what of the first neither friction, load nor
+    kinetic energy account for.
 
     The voltage of a row acts until the next one; friction is taken as linear between two rows.
     """
-    needed = {"J": motion.inertia, "b": motion.gain, "output F": motion.signals.get("F"), "u": motion.signals.get("u")}
+    needed = {
+        "J": motion.inertia,
+        "b": motion.gain,
+        "output F": motion.signals.get("F"),
+        "u": motion.signals.get("u"),
+    }
     missing = [name for name, given in needed.items() if given is None]
     if missing:
         why = f"the plant has no {' and no '.join(missing)}"
         return {
             name: Quantity(unit, None, why)
-            for name, unit in (("drive_work", "J"), ("friction_work", "J"), ("energy_residual_percent", "%"))
+            for name, unit in (
+                ("drive_work", "J"),
+                ("friction_work", "J"),
+                ("energy_residual_percent", "%"),
+            )
         }
     assert motion.inertia is not None
     assert motion.gain is not None
     v, force, moved = motion.signals["v"], motion.signals["F"], np.diff(motion.signals["theta"])
     power = motion.gain * np.clip(motion.signals["u"][:-1], -motion.u_max, motion.u_max) * moved
     drive, friction = float(np.sum(power)), float(np.sum(0.5 * (force[1:] + force[:-1]) * moved))
-    load = float(np.sum(motion.signals["tau_load"][:-1] * moved)) if "tau_load" in motion.signals else 0.0
+    load = (
+        float(np.sum(motion.signals["tau_load"][:-1] * moved))
+        if "tau_load" in motion.signals
+        else 0.0
+    )
     kinetic = 0.5 * motion.inertia * float(v[-1] ** 2 - v[0] ** 2)
     size = float(np.sum(np.abs(power)))
     residual = (
-        Quantity("%", 100 * (drive + load - friction - kinetic) / size) if size else Quantity("%", None, "the drive does no work")
+        Quantity("%", 100 * (drive + load - friction - kinetic) / size)
+        if size
+        else Quantity("%", None, "the drive does no work")
     )
-    return {"drive_work": Quantity("J", drive), "friction_work": Quantity("J", friction), "energy_residual_percent": residual}
+    return {
+        "drive_work": Quantity("J", drive),
+        "friction_work": Quantity("J", friction),
+        "energy_residual_percent": residual,
+    }

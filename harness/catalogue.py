@@ -17,25 +17,37 @@ PYTHON_PROJECT = "pyproject.toml"
 
 
 def scenario_files() -> dict[str, Path]:
-    """Return the scenarios that come with bristle, and those in plug-in folders, by name in alphabetical order."""
+    """Return the scenarios that come with bristle, and those in plug-in folders, by name in
+    alphabetical order.
+    """
     found: dict[str, Path] = {}
     own = Path(str(files("bristle.scenarios")))
     for path in [*own.glob("*.toml"), *plugin_files("scenarios", ".toml")]:
         if path.stem in found:
-            raise BristleError(f"{path}: a scenario is called '{path.stem}' already, {found[path.stem]}; rename the file")
+            raise BristleError(
+                f"{path}: a scenario is called '{path.stem}' already, {found[path.stem]}; rename"
+                " the file"
+            )
         found[path.stem] = path
     return dict(sorted(found.items()))
 
 
 def scenarios() -> dict[str, str]:
-    """Return the titles of these scenarios by name; raise `BristleError` for a file that is not TOML."""
-    return {name: str(read_toml(path, "scenario file")[1].get("title", "")) for name, path in scenario_files().items()}
+    """Return the titles of these scenarios by name; raise `BristleError` for a file that is not
+    TOML.
+    """
+    return {
+        name: str(read_toml(path, "scenario file")[1].get("title", ""))
+        for name, path in scenario_files().items()
+    }
 
 
 def find_scenario(given: Path) -> Path:
-    """Return the path of a scenario that is given by its path or, if it is one of `scenario_files`, by its name.
+    """Return the path of a scenario that is given by its path or, if it is one of `scenario_files`,
+    by its name.
 
-    Those of `reproduce` are not listed; their names begin with the folder, as in `reproduce/printed`.
+    Those of `reproduce` are not listed; their names begin with the folder, as in
+    `reproduce/printed`.
 
     Raises
     ------
@@ -52,12 +64,17 @@ def find_scenario(given: Path) -> Path:
         return given  # a folder or a pipe: what reads the file says so
     if given.name not in known:
         near = suggest(given.name, list(known))
-        raise BristleError(f"scenario '{given}': no such file or name{near}; give a path or one of: {', '.join(known)}")
+        raise BristleError(
+            f"scenario '{given}': no such file or name{near}; give a path or one of:"
+            f" {', '.join(known)}"
+        )
     return known[given.name]
 
 
 def is_scenario(path: Path) -> bool:
-    """True for a TOML file with a table [observer], and for one that is broken, which then fails; never for pyproject.toml."""
+    """True for a TOML file with a table [observer], and for one that is broken, which then fails;
+    never for pyproject.toml.
+    """
     if path.name == PYTHON_PROJECT:
         return False
     try:
@@ -68,7 +85,9 @@ def is_scenario(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Choice:
-    """What an FMU holds: one law or method, or all; effects of the plant, and whether it has its encoder; what it runs on."""
+    """What an FMU holds: one law or method, or all; effects of the plant, and whether it has its
+    encoder; what it runs on.
+    """
 
     law: str | None = None
     method: str | None = None
@@ -78,7 +97,12 @@ class Choice:
 
 
 def build_files(
-    choices: Mapping[str, Choice], out: Path, *, fmi: int, kind: str, tell: Callable[[str, float], None] = lambda text, share: None
+    choices: Mapping[str, Choice],
+    out: Path,
+    *,
+    fmi: int,
+    kind: str,
+    tell: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Path]:
     """Build FMUs into the folder `out`, named after what they are: all or none.
 
@@ -105,7 +129,13 @@ def build_files(
         made: list[Path] = []
         for what, choice in choices.items():
             variant = choice.law or choice.method
-            stem = "_".join([names.get(what, what), *([variant] if variant else []), *sorted(choice.effects)])
+            stem = "_".join(
+                [names.get(what, what), *([variant] if variant else []), *sorted(choice.effects)]
+            )
             tell(f"building {stem}", len(made) / len(choices))
-            made.append(build(what, Path(folder) / f"{stem}.fmu", fmi=fmi, kind=kind, **vars(choice)))
-        return replace_files(out, {path.name: path.read_bytes() for path in made}, [path.name for path in made])
+            made.append(
+                build(what, Path(folder) / f"{stem}.fmu", fmi=fmi, kind=kind, **vars(choice))
+            )
+        return replace_files(
+            out, {path.name: path.read_bytes() for path in made}, [path.name for path in made]
+        )

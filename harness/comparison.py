@@ -1,4 +1,6 @@
-"""A run against a baseline or another run: each signal in its tube, numbers within what repeated runs measure, and provenance."""
+"""A run against a baseline or another run: each signal in its tube, numbers within what repeated
+runs measure, and provenance.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from bristle.common.errors import BristleError
 from bristle.common.files import check_regular
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
-from bristle.harness.baseline import Baseline, Judged, Signals, least_tolerance, quantities_of, read_baseline, read_json
+from bristle.harness.baseline import (
+    Baseline,
+    Judged,
+    Signals,
+    least_tolerance,
+    quantities_of,
+    read_baseline,
+    read_json,
+)
 from bristle.harness.metrics import look_up
 from bristle.harness.results import missing, rows_of, thinned
 from bristle.harness.tube import EXACT_MARGIN, written_margin
@@ -36,7 +46,9 @@ RESULT_ORIGINS = (  # what is said where it is not the same: path in result.json
 
 @dataclass(frozen=True)
 class SignalVerdict:
-    """A signal at its worst point: distance from the reference over what is allowed (1: at the edge), or why there is none."""
+    """A signal at its worst point: distance from the reference over what is allowed (1: at the
+    edge), or why there is none.
+    """
 
     name: str
     passed: bool
@@ -50,7 +62,9 @@ class SignalVerdict:
 
     @property
     def margins(self) -> tuple[float, float] | None:
-        """How far the signal may be below and above the reference at its worst point: 0 where it must be exactly 0."""
+        """How far the signal may be below and above the reference at its worst point: 0 where it
+        must be exactly 0.
+        """
         if self.reference is None or self.low is None or self.high is None:
             return None
         below, above = self.reference - self.low, self.high - self.reference
@@ -59,7 +73,9 @@ class SignalVerdict:
 
 @dataclass(frozen=True)
 class QuantityVerdict:
-    """A number of both results, how far they may be apart, and whether they are; None if that is not judged."""
+    """A number of both results, how far they may be apart, and whether they are; None if that is
+    not judged.
+    """
 
     path: str
     unit: str
@@ -72,7 +88,9 @@ class QuantityVerdict:
 
 @dataclass(frozen=True)
 class SignalCourse:
-    """What a figure shows of a signal: times [s], reference, lower and upper bound, and the run, shape (n,) each."""
+    """What a figure shows of a signal: times [s], reference, lower and upper bound, and the run,
+    shape (n,) each.
+    """
 
     time: Array
     reference: Array
@@ -83,10 +101,12 @@ class SignalCourse:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Verdicts of all signals and numbers, what makes both incomparable, and what is said without being judged.
+    """Verdicts of all signals and numbers, what makes both incomparable, and what is said without
+    being judged.
 
-    `rows` instants were compared, of `instants` that A has; `made` holds where A and B come from, as of their result.json;
-    `command` repeats the comparison; `units` are those of the signals, as far as they are known.
+    `rows` instants were compared, of `instants` that A has; `made` holds where A and B come from,
+    as of their result.json; `command` repeats the comparison; `units` are those of the signals, as
+    far as they are known.
     """
 
     first: str
@@ -107,14 +127,19 @@ class Comparison:
     def passed(self) -> bool:
         """Whether B is where A allows it to be: everywhere, and in every number that is judged."""
         signals = bool(self.signals) and all(each.passed for each in self.signals)
-        return not self.refused and signals and all(each.passed is not False for each in self.quantities)
+        return (
+            not self.refused
+            and signals
+            and all(each.passed is not False for each in self.quantities)
+        )
 
 
-# -- reading ---------------------------------------------------------------------------------------------------------
+# -- reading ---------------------------------------------------------------------------------------
 
 
 def read_side(folder: Path) -> tuple[Baseline, bool]:
-    """Return what a folder holds, and whether tolerances were measured: those of a run are what its written digits leave open.
+    """Return what a folder holds, and whether tolerances were measured: those of a run are what its
+    written digits leave open.
 
     Raises
     ------
@@ -129,11 +154,13 @@ def read_side(folder: Path) -> tuple[Baseline, bool]:
         if not (0 < step < np.inf and total > 0):
             raise ValueError(step, total)
         quantities = {
-            path: each if each.value is None else _least(path, each, step) for path, each in quantities_of(result).items()
+            path: each if each.value is None else _least(path, each, step)
+            for path, each in quantities_of(result).items()
         }
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
         raise BristleError(
-            f"{folder / 'result.json'}: is no result of bristle run; give its result folder, or a baseline"
+            f"{folder / 'result.json'}: is no result of bristle run; give its result folder, or a"
+            " baseline"
         ) from None
     rows, values = _read_signals(folder / "signals.csv", step, total)
     with np.errstate(invalid="ignore", over="ignore"):  # of what is no number, which has no bounds
@@ -147,7 +174,9 @@ def _least(path: str, each: Judged, step: float) -> Judged:
     return Judged(each.unit, each.value, least_tolerance(path, each.value, step), each.why)
 
 
-def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64], dict[str, Array]]:
+def _read_signals(
+    path: Path, step: float, total: int
+) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Return rows and signals of signals.csv, which may hold nan, of a run of `total` rows."""
     check_regular(path)
     try:
@@ -156,20 +185,37 @@ def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64
             head = stream.readline().rstrip("\n").split(",")
             table = np.loadtxt(stream, delimiter=",", ndmin=2)
     except OSError as error:
-        raise BristleError(f"{path}: {error.strerror}; give a result folder of bristle run") from None
+        raise BristleError(
+            f"{path}: {error.strerror}; give a result folder of bristle run"
+        ) from None
     except ValueError as error:
-        raise BristleError(f"{path}: no table of numbers ({error}); run the scenario again") from None
+        raise BristleError(
+            f"{path}: no table of numbers ({error}); run the scenario again"
+        ) from None
     if not table.size:
         raise BristleError(f"{path}: no numbers below its head; run the scenario again")
-    if head[0] != "time" or len(set(head)) != len(head) or table.shape[1:] != (len(head),) or not np.isfinite(table[:, 0]).all():
-        raise BristleError(f"{path}: must have a head with one name a column, time first; run the scenario again")
+    if (
+        head[0] != "time"
+        or len(set(head)) != len(head)
+        or table.shape[1:] != (len(head),)
+        or not np.isfinite(table[:, 0]).all()
+    ):
+        raise BristleError(
+            f"{path}: must have a head with one name a column, time first; run the scenario again"
+        )
     time, last = table[:, 0], (total - 1) * step
     if (np.diff(time) <= 0).any() or time[0] < -0.5 * step or time[-1] > last + 0.5 * step:
-        raise BristleError(f"{path}: its times must rise, from 0 to {last:g} s as result.json says; run the scenario again")
+        raise BristleError(
+            f"{path}: its times must rise, from 0 to {last:g} s as result.json says; run the"
+            " scenario again"
+        )
     place = time / step
     rows = place.round().astype(np.int64)
     if np.abs(place - rows).max() > DURATION_SLACK * max(1.0, float(rows[-1])):
-        raise BristleError(f"{path}: its times are no multiples of the step of result.json, {step:g} s; run the scenario again")
+        raise BristleError(
+            f"{path}: its times are no multiples of the step of result.json, {step:g} s; run the"
+            " scenario again"
+        )
     written = thinned(total)
     if lost := missing(rows, written if np.isin(rows, written).all() else np.arange(total)):
         raise BristleError(
@@ -179,7 +225,7 @@ def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64
     return rows, dict(zip(head[1:], table.T[1:], strict=True))
 
 
-# -- judging ---------------------------------------------------------------------------------------------------------
+# -- judging ---------------------------------------------------------------------------------------
 
 
 def compare_folders(first: Path, second: Path) -> Comparison:
@@ -191,19 +237,36 @@ def compare_folders(first: Path, second: Path) -> Comparison:
         If one of them is no such folder.
     """
     (a, measured), (b, _) = read_side(first), read_side(second)
-    notes = () if measured else (f"{first} is no baseline: allowed is only what the written digits leave open",)
+    notes = (
+        ()
+        if measured
+        else (f"{first} is no baseline: allowed is only what the written digits leave open",)
+    )
     found = compare_sides(a, b)
     return replace(found, first=str(first), second=str(second), notes=(*notes, *found.notes))
 
 
 def compare_sides(a: Baseline, b: Baseline) -> Comparison:
-    """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both have."""
-    notes, refused, scenario = _origins(a.result, b.result), _refused(a.result, b.result), str(a.result["scenario"])
+    """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both
+    have.
+    """
+    notes, refused, scenario = (
+        _origins(a.result, b.result),
+        _refused(a.result, b.result),
+        str(a.result["scenario"]),
+    )
     made = _made(a.result), _made(b.result)
-    rows, at_a, at_b = np.intersect1d(a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True)
+    rows, at_a, at_b = np.intersect1d(
+        a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True
+    )
     if not refused and (lost := missing(rows, thinned(rows_of(a.result)))):
         first = lost.first * float(a.result["step_s"])
-        refused = (f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run the scenario of B again",)
+        refused = (
+            (
+                f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
+                " the scenario of B again"
+            ),
+        )
     instants = len(a.signals.rows)
     if refused:
         return Comparison("A", "B", scenario, 0, instants, refused, (), (), tuple(notes), {}, made)
@@ -216,29 +279,52 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
             signals.append(SignalVerdict(name, False, why="B has no such signal"))
             continue
         lower, upper = a.signals.lower[name][at_a], a.signals.upper[name][at_a]
-        courses[name] = SignalCourse(time, expected[at_a], lower, upper, b.signals.values[name][at_b])
+        courses[name] = SignalCourse(
+            time, expected[at_a], lower, upper, b.signals.values[name][at_b]
+        )
         signals.append(judge_signal(name, courses[name]))
-    quantities = tuple(judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items())
+    quantities = tuple(
+        judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items()
+    )
     units = {**b.result.get("units", {}), **a.result.get("units", {})}
     return Comparison(
-        "A", "B", scenario, len(rows), instants, (), tuple(signals), quantities, tuple(notes), courses, made, units=units
+        "A",
+        "B",
+        scenario,
+        len(rows),
+        instants,
+        (),
+        tuple(signals),
+        quantities,
+        tuple(notes),
+        courses,
+        made,
+        units=units,
     )
 
 
 def _made(result: Mapping[str, Any]) -> dict[str, Any]:
     """Return where a result comes from, with the hashes of its FMUs and its record."""
     fmus = {name: fmu["sha256"] for name, fmu in result.get("fmus", {}).items()}
-    return {**result.get("provenance", {}), "fmus_sha256": fmus, "record_sha256": look_up(result, "record.sha256")}
+    return {
+        **result.get("provenance", {}),
+        "fmus_sha256": fmus,
+        "record_sha256": look_up(result, "record.sha256"),
+    }
 
 
 def _refused(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return why two results cannot be compared sample by sample: another rate, or another duration."""
+    """Return why two results cannot be compared sample by sample: another rate, or another
+    duration.
+    """
     steps, others = (float(each["step_s"]) for each in (a, b))
     if abs(steps - others) > 1e-9 * steps:
         return (f"the communication step is {steps:g} s in A and {others:g} s in B",)
     if a["steps"] != b["steps"]:
         early = [
-            f"; {name} ended early: {each['diverged']['message']}" for name, each in (("A", a), ("B", b)) if "diverged" in each
+            f"; {name} ended early: {each['diverged']['message']}"
+            for name, each in (("A", a), ("B", b))
+            if "diverged" in each
         ]
         return (f"A lasts {a['steps'] * steps:g} s, B {b['steps'] * steps:g} s{''.join(early)}",)
     return ()
@@ -254,7 +340,10 @@ def _origins(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     for name in dict.fromkeys([*a.get("fmus", {}), *b.get("fmus", {})]):
         hashes = [_at(each, f"fmus.{name}.sha256") for each in (a, b)]
         if hashes[0] != hashes[1]:
-            found.append(f"SHA-256 of the FMU of the {name}: {_short(hashes[0])} in A, {_short(hashes[1])} in B")
+            found.append(
+                f"SHA-256 of the FMU of the {name}: {_short(hashes[0])} in A, {_short(hashes[1])}"
+                " in B"
+            )
     return found
 
 
@@ -279,8 +368,20 @@ def judge_signal(name: str, course: SignalCourse) -> SignalVerdict:
     wrong = np.flatnonzero(known & ~np.isfinite(course.values))
     if len(wrong):
         k = int(wrong[0])
-        expected, low, high = (float(each[k]) for each in (course.reference, course.lower, course.upper))
-        return SignalVerdict(name, False, None, float(course.time[k]), None, expected, low, high, f"it is {course.values[k]}")
+        expected, low, high = (
+            float(each[k]) for each in (course.reference, course.lower, course.upper)
+        )
+        return SignalVerdict(
+            name,
+            False,
+            None,
+            float(course.time[k]),
+            None,
+            expected,
+            low,
+            high,
+            f"it is {course.values[k]}",
+        )
     open_ = known & ~(np.isfinite(course.lower) & np.isfinite(course.upper))
     judged = known & ~open_
     if not judged.any():
@@ -291,7 +392,9 @@ def judge_signal(name: str, course: SignalCourse) -> SignalVerdict:
     share = np.where(judged, np.maximum(over, under), -np.inf)
     k = int(np.argmax(share))
     passed, worst = bool(share[k] <= 1.0), max(0.0, float(share[k]))
-    value, expected, low, high = (float(each[k]) for each in (course.values, course.reference, course.lower, course.upper))
+    value, expected, low, high = (
+        float(each[k]) for each in (course.values, course.reference, course.lower, course.upper)
+    )
     return SignalVerdict(name, passed, worst, float(course.time[k]), value, expected, low, high)
 
 
@@ -301,17 +404,23 @@ def judge_quantity(path: str, first: Judged, second: Judged | None) -> QuantityV
     if not first.judged:
         return QuantityVerdict(path, first.unit, first.value, value, None, None, first.why)
     if second is None:
-        return QuantityVerdict(path, first.unit, first.value, None, first.tolerance, False, "B has no such number")
+        return QuantityVerdict(
+            path, first.unit, first.value, None, first.tolerance, False, "B has no such number"
+        )
     if first.value is None or first.tolerance is None:
         why = first.why if value is None else f"A has none: {first.why}"
-        return QuantityVerdict(path, first.unit, None, value, None, None if value is None else False, why)
+        return QuantityVerdict(
+            path, first.unit, None, value, None, None if value is None else False, why
+        )
     if value is None:
-        return QuantityVerdict(path, first.unit, first.value, None, first.tolerance, False, f"B has none: {second.why}")
+        return QuantityVerdict(
+            path, first.unit, first.value, None, first.tolerance, False, f"B has none: {second.why}"
+        )
     inside = abs(value - first.value) <= first.tolerance
     return QuantityVerdict(path, first.unit, first.value, value, first.tolerance, bool(inside))
 
 
-# -- files -----------------------------------------------------------------------------------------------------------
+# -- files -----------------------------------------------------------------------------------------
 
 
 def write_comparison(found: Comparison, out: Path) -> Path:
@@ -328,14 +437,25 @@ def comparison_json(found: Comparison) -> bytes:
     return to_json(
         plain(
             {
-                "scenario": found.scenario, "verdict": "pass" if found.passed else "differs", "first": found.first,
-                "second": found.second, "rows": found.rows, "instants": found.instants,
-                "refused": list(found.refused), "notes": list(found.notes),
-                "signals": [_row(each) for each in found.signals], "quantities": [_row(each) for each in found.quantities],
-                "provenance": {**provenance(), "command": found.command, "first": found.made[0], "second": found.made[1]},
+                "scenario": found.scenario,
+                "verdict": "pass" if found.passed else "differs",
+                "first": found.first,
+                "second": found.second,
+                "rows": found.rows,
+                "instants": found.instants,
+                "refused": list(found.refused),
+                "notes": list(found.notes),
+                "signals": [_row(each) for each in found.signals],
+                "quantities": [_row(each) for each in found.quantities],
+                "provenance": {
+                    **provenance(),
+                    "command": found.command,
+                    "first": found.made[0],
+                    "second": found.made[1],
+                },
             }
         )
-    ).encode()  # fmt: skip
+    ).encode()
 
 
 def _row(each: SignalVerdict | QuantityVerdict) -> dict[str, Any]:
@@ -367,10 +487,14 @@ def _allowed(signal: SignalVerdict) -> str:
 def quantity_text(each: QuantityVerdict) -> str:
     """Return a number of B beside that of A."""
     unit = "" if each.unit == "1" else f" {each.unit}"
-    return f"{each.second:.6g}{unit} in B, {each.first:.6g}{unit} in A, allowed ± {each.tolerance:.2g}"
+    return (
+        f"{each.second:.6g}{unit} in B, {each.first:.6g}{unit} in A, allowed ± {each.tolerance:.2g}"
+    )
 
 
 def counts(signals: Sequence[SignalVerdict]) -> tuple[int, int]:
-    """Return how many signals are inside their tubes, of how many that were judged or are missing."""
+    """Return how many signals are inside their tubes, of how many that were judged or are
+    missing.
+    """
     judged = [each for each in signals if not (each.passed and each.why)]
     return sum(each.passed for each in judged), len(judged)

@@ -1,4 +1,5 @@
-"""The runs of a sweep: values of the keys that vary, listed, in a grid or drawn from distributions, each with every seed.
+"""The runs of a sweep: values of the keys that vary, listed, in a grid or drawn from distributions,
+each with every seed.
 
 Distributions are those of scipy.stats, points in the unit cube those of scipy.stats.qmc.
 """
@@ -23,7 +24,8 @@ from bristle.harness.scenario import keys_of
 from bristle.harness.values import SPECS, values_of
 
 Sampling = Literal["lhs", "sobol", "random"]
-SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)  # Latin hypercube, Sobol' points (scrambled), independent points
+# Latin hypercube, Sobol' points (scrambled), independent points
+SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 MOST_RUNS = 10_000_000
 DISTRIBUTION = re.compile(r"([A-Za-z_]\w*)\s*(\(.*\))(?:\s+(\S+))?", re.DOTALL)
 WRITTEN = f"{SPECS}, or a distribution such as uniform(a, b)"
@@ -31,7 +33,9 @@ WRITTEN = f"{SPECS}, or a distribution such as uniform(a, b)"
 
 @dataclass(frozen=True)
 class Axis:
-    """A key of the scenario that varies: its path without quotes; values as overrides, or a distribution and its unit."""
+    """A key of the scenario that varies: its path without quotes; values as overrides, or a
+    distribution and its unit.
+    """
 
     path: str
     overrides: tuple[str, ...] = ()
@@ -41,7 +45,10 @@ class Axis:
     def drawn(self, shares: ArrayLike) -> list[str]:
         """Return the overrides whose values have these cumulative probabilities."""
         unit = f" {self.unit}" if self.unit else ""
-        return [f"{self.path}={value!r}{unit}" for value in np.asarray(self.distribution.ppf(shares), dtype=float).tolist()]
+        return [
+            f"{self.path}={value!r}{unit}"
+            for value in np.asarray(self.distribution.ppf(shares), dtype=float).tolist()
+        ]
 
     @cached_property
     def numeric(self) -> bool:
@@ -58,7 +65,9 @@ class Axis:
 
     @property
     def meaning(self) -> str:
-        """What its values in a table are: text, numbers in SI units, or numbers in a unit that is one of these."""
+        """What its values in a table are: text, numbers in SI units, or numbers in a unit that is
+        one of these.
+        """
         if not self.numeric:
             return "text"
         units = {_number_and_unit(each)[1] for each in self.overrides} or {self.unit}
@@ -66,13 +75,17 @@ class Axis:
         return unit if unit and parse_unit(unit).factor == 1.0 else "numbers in SI units"
 
     def ends(self) -> tuple[str, ...]:
-        """Return the overrides that are tried before anything runs: all that are listed, or far out and in the middle."""
+        """Return the overrides that are tried before anything runs: all that are listed, or far out
+        and in the middle.
+        """
         return self.overrides or tuple(self.drawn((0.001, 0.5, 0.999)))
 
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep: its place, its seed if seeds are given, and what differs from the scenario's file."""
+    """One run of a sweep: its place, its seed if seeds are given, and what differs from the
+    scenario's file.
+    """
 
     index: int
     overrides: tuple[str, ...]
@@ -81,7 +94,9 @@ class Point:
 
 @dataclass(frozen=True)
 class Design:
-    """Which runs a sweep has: a grid of all listed values, each of the drawn ones, and each seed; `asked` is how it was written."""
+    """Which runs a sweep has: a grid of all listed values, each of the drawn ones, and each seed;
+    `asked` is how it was written.
+    """
 
     asked: tuple[str, ...] = ()
     axes: tuple[Axis, ...] = ()
@@ -97,21 +112,32 @@ class Design:
         return listed * max(1, self.samples) * max(1, len(self.seeds))
 
     def points(self) -> Iterator[Point]:
-        """Give the runs in their order: seeds change fastest, then the drawn values, then the last of the listed ones."""
+        """Give the runs in their order: seeds change fastest, then the drawn values, then the last
+        of the listed ones.
+        """
         axes = [axis for axis in self.axes if not axis.overrides]
         columns = [axis.drawn(shares) for axis, shares in zip(axes, self._shares().T, strict=True)]
         drawn = list(zip(*columns, strict=True)) or [()]
         listed = [axis.overrides for axis in self.axes if axis.overrides]
-        order = [place for wanted in (True, False) for place, axis in enumerate(self.axes) if bool(axis.overrides) is wanted]
+        order = [
+            place
+            for wanted in (True, False)
+            for place, axis in enumerate(self.axes)
+            if bool(axis.overrides) is wanted
+        ]
         count = itertools.count()
         for chosen in itertools.product(*listed):
             for row in drawn:
-                values = tuple(value for _, value in sorted(zip(order, (*chosen, *row), strict=True)))
+                values = tuple(
+                    value for _, value in sorted(zip(order, (*chosen, *row), strict=True))
+                )
                 for seed in self.seeds or (None,):
                     yield Point(next(count), values, seed)
 
     def trials(self) -> Iterator[tuple[str, ...]]:
-        """Give the overrides that are checked before anything runs: each value of each axis, with the others at their first."""
+        """Give the overrides that are checked before anything runs: each value of each axis, with
+        the others at their first.
+        """
         first = [axis.ends()[0] for axis in self.axes]
         yield tuple(first)
         for place, axis in enumerate(self.axes):
@@ -119,7 +145,9 @@ class Design:
                 yield (*first[:place], value, *first[place + 1 :])
 
     def _shares(self) -> NDArray[np.float64]:
-        """Return cumulative probabilities, shape (samples, drawn axes), in the open interval from 0 to 1."""
+        """Return cumulative probabilities, shape (samples, drawn axes), in the open interval from 0
+        to 1.
+        """
         from scipy.stats import qmc
 
         dimensions = sum(not axis.overrides for axis in self.axes)
@@ -146,8 +174,9 @@ def design(
     Parameters
     ----------
     vary : sequence of str
-        Each ``PATH=SPEC``; a SPEC is ``a:b:n``, a list ``[v1, v2]``, or a distribution by its name in scipy.stats: its shape
-        parameters, then scale, or location and scale; ``uniform(a, b)`` lies between a and b. A unit may follow.
+        Each ``PATH=SPEC``; a SPEC is ``a:b:n``, a list ``[v1, v2]``, or a distribution by its name
+        in scipy.stats: its shape parameters, then scale, or location and scale; ``uniform(a, b)``
+        lies between a and b. A unit may follow.
     seeds : sequence of int
         Seeds of the controller's reference; none: that of the file.
     samples : int, optional
@@ -169,15 +198,24 @@ def design(
         raise BristleError(f"sampling_seed {sampling_seed}: must be 0 or more")
     drawn = [axis.path for axis in axes if not axis.overrides]
     if drawn and samples is None:
-        raise BristleError(f"vary '{drawn[0]}': a distribution; give samples, the number of values that are drawn")
+        raise BristleError(
+            f"vary '{drawn[0]}': a distribution; give samples, the number of values that are drawn"
+        )
     if samples is not None and not drawn:
-        raise BristleError(f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as uniform(a, b)")
+        raise BristleError(
+            f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as"
+            " uniform(a, b)"
+        )
     if samples is not None and sampling == "sobol" and samples & (samples - 1):
         near = 1 << samples.bit_length()
-        raise BristleError(f"samples {samples}: Sobol' points come in powers of two; write {near // 2} or {near}")
+        raise BristleError(
+            f"samples {samples}: Sobol' points come in powers of two; write {near // 2} or {near}"
+        )
     found = Design(tuple(vary), axes, tuple(seeds), samples or 0, sampling, sampling_seed)
     if found.runs > MOST_RUNS:
-        raise BristleError(f"vary: {found.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values")
+        raise BristleError(
+            f"vary: {found.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values"
+        )
     return found
 
 
@@ -204,7 +242,9 @@ def axis_of(given: str) -> Axis:
     if not separator or not path or found is None:
         overrides = tuple(values_of(given, WRITTEN))
         return Axis(".".join(keys_of(overrides[0].partition("=")[0])), overrides)
-    return Axis(".".join(keys_of(path)), (), _distribution(given, found[1], found[2]), found[3] or "")
+    return Axis(
+        ".".join(keys_of(path)), (), _distribution(given, found[1], found[2]), found[3] or ""
+    )
 
 
 def _distribution(given: str, name: str, arguments: str) -> Any:
@@ -213,14 +253,21 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
 
     known = getattr(stats, name, None)
     if not isinstance(known, stats.rv_continuous | stats.rv_discrete):
-        names = sorted(each for each in dir(stats) if isinstance(getattr(stats, each), stats.rv_continuous | stats.rv_discrete))
-        raise BristleError(f"vary '{given}': scipy.stats has no distribution '{name}'{suggest(name, names)}")
+        names = sorted(
+            each
+            for each in dir(stats)
+            if isinstance(getattr(stats, each), stats.rv_continuous | stats.rv_discrete)
+        )
+        raise BristleError(
+            f"vary '{given}': scipy.stats has no distribution '{name}'{suggest(name, names)}"
+        )
     positional, named = _arguments(given, name, arguments)
     if name == "uniform":
         if len(positional) != 2 and set(named) != {"loc", "scale"}:
             raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
         if len(positional) == 2:
-            positional = [positional[0], positional[1] - positional[0]]  # its ends, which is how people write it
+            # its ends, which is how people write it
+            positional = [positional[0], positional[1] - positional[0]]
     shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
     more = len(positional) - len(shapes)
     rest = {0: (), 1: ("scale",), 2: ("loc", "scale")}.get(more, ())
@@ -229,16 +276,23 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
     allowed = [*shapes, "loc", *(["scale"] if isinstance(known, stats.rv_continuous) else [])]
     order = f"{name}({', '.join(shapes + list(rest)) or ', '.join(allowed)})"
     if more > len(rest) or set(named) - set(allowed):
-        raise BristleError(f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}")
+        raise BristleError(
+            f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}"
+        )
     values = dict(zip([*shapes, *rest], positional, strict=False)) | named
     missing = [shape for shape in shapes if shape not in values]
     if missing:
-        raise BristleError(f"vary '{given}': parameter {missing[0]} of {name} is missing; write {order}")
+        raise BristleError(
+            f"vary '{given}': parameter {missing[0]} of {name} is missing; write {order}"
+        )
     with np.errstate(all="ignore"):
         frozen = known(**values)
         middle = frozen.ppf(0.5)
     if not np.isfinite(middle):
-        raise BristleError(f"vary '{given}': scipy.stats.{name} has no values for these parameters; see its documentation")
+        raise BristleError(
+            f"vary '{given}': scipy.stats.{name} has no values for these parameters; see its"
+            " documentation"
+        )
     return frozen
 
 
@@ -251,7 +305,10 @@ def _arguments(given: str, name: str, arguments: str) -> tuple[list[float], dict
         positional = [float(ast.literal_eval(each)) for each in call.args]
         named = {str(each.arg): float(ast.literal_eval(each.value)) for each in call.keywords}
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
-        raise BristleError(f"vary '{given}': its parameters must be plain numbers; write for example {name}(1.0, 2.0)") from None
+        raise BristleError(
+            f"vary '{given}': its parameters must be plain numbers; write for example {name}(1.0,"
+            " 2.0)"
+        ) from None
     if not all(map(math.isfinite, [*positional, *named.values()])):
         raise BristleError(f"vary '{given}': its parameters must be finite")
     return positional, named

@@ -74,7 +74,8 @@ class Repeated:
     experiment: Experiment
     agreement: tuple[Agreement, ...]
     trace: Trace
-    not_compared: tuple[str, ...] = ()  # signals of the reference that are no numbers, or nothing that a run gives
+    # signals of the reference that are no numbers, or nothing that a run gives
+    not_compared: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -102,7 +103,9 @@ class Repeated:
 
 @dataclass(frozen=True)
 class Replayed:
-    """The experiments of an FMU, the files of it that do not have their checksum any more, and where the results are."""
+    """The experiments of an FMU, the files of it that do not have their checksum any more, and
+    where the results are.
+    """
 
     folder: Path
     experiments: tuple[Repeated, ...]
@@ -152,7 +155,7 @@ def repeat(
     return replayed
 
 
-# -- reading -------------------------------------------------------------------------------------------------------------
+# -- reading ---------------------------------------------------------------------------------------
 class _Fmu(Archive):
     suffix = ".fmu"
 
@@ -160,9 +163,15 @@ class _Fmu(Archive):
 def _inside(archive: Archive) -> Iterator[Experiment]:
     """Give the experiments that an FMU holds."""
     if MANIFEST not in archive.names:
-        raise archive.mistake(f"holds no experiments ({MANIFEST}); give a file of experiments: bristle run FILE.exp --fmu FMU")
-    sources = [each.get("source", "") for each in archive.tree(MANIFEST).iter("Related")
-               if each.get("role", "").split("/")[0] == "experiment"]  # fmt: skip
+        raise archive.mistake(
+            f"holds no experiments ({MANIFEST}); give a file of experiments: bristle run FILE.exp"
+            " --fmu FMU"
+        )
+    sources = [
+        each.get("source", "")
+        for each in archive.tree(MANIFEST).iter("Related")
+        if each.get("role", "").split("/")[0] == "experiment"
+    ]
     if not sources:
         raise archive.mistake(f"{MANIFEST} names no experiment")
     with archive.named():
@@ -176,7 +185,9 @@ def _beside(path: Path) -> Iterator[Experiment]:
     def read(name: str) -> bytes:
         try:
             if name.startswith("../"):
-                raise BristleError(f"{path}: '{name}' lies elsewhere; only files beside it are read")
+                raise BristleError(
+                    f"{path}: '{name}' lies elsewhere; only files beside it are read"
+                )
             check_regular(path.parent / name)
             return (path.parent / name).read_bytes()
         except OSError as error:
@@ -205,22 +216,48 @@ def _read(name: str, read: Read) -> Iterator[Experiment]:
 
 def _experiment(element: ET.Element, name: str, read: Read) -> Experiment:
     about = element.find("TransientSimulation")
-    kinds = [each.tag for each in element if each.tag not in ("Parameters", "Stimuli", "References", "Annotations")]
+    kinds = [
+        each.tag
+        for each in element
+        if each.tag not in ("Parameters", "Stimuli", "References", "Annotations")
+    ]
     if about is None and kinds:
-        raise BristleError(f"{name}: experiment '{element.get('name')}' is a {kinds[0]}; only TransientSimulation can be run")
-    times = element if about is None else about  # older files have the times on the experiment itself
-    given = {key: _number(times, key, name) for key in ("startTime", "stopTime", "stepSize") if times.get(key) is not None}
-    sources = {key: _resolved(name, element.find(key).get("source", ""))  # type: ignore[union-attr]  # found just before
-               for key in ("Parameters", "Stimuli", "References") if element.find(key) is not None}  # fmt: skip
+        raise BristleError(
+            f"{name}: experiment '{element.get('name')}' is a {kinds[0]}; only TransientSimulation"
+            " can be run"
+        )
+    # older files have the times on the experiment itself
+    times = element if about is None else about
+    given = {
+        key: _number(times, key, name)
+        for key in ("startTime", "stopTime", "stepSize")
+        if times.get(key) is not None
+    }
+    sources = {
+        key: _resolved(name, element.find(key).get("source", ""))  # type: ignore[union-attr]  # found just before
+        for key in ("Parameters", "Stimuli", "References")
+        if element.find(key) is not None
+    }
     values = {}
     if (source := sources.get("Parameters")) is not None:
         values = dict(parameter_values(tree_of(read(source), source)))
-    tables = {key: signals_of(read(source), source) for key, source in sources.items() if key != "Parameters"}
+    tables = {
+        key: signals_of(read(source), source)
+        for key, source in sources.items()
+        if key != "Parameters"
+    }
     own = element.find(f"Annotations/Annotation[@type='{OWN_ANNOTATION}']/Comparison")
     return Experiment(
-        element.get("name") or name, name, given.get("startTime"), given.get("stopTime"), given.get("stepSize"), values,
-        tables.get("Stimuli"), tables.get("References"), None if own is None else _number(own, "tolerance", name),
-    )  # fmt: skip
+        element.get("name") or name,
+        name,
+        given.get("startTime"),
+        given.get("stopTime"),
+        given.get("stepSize"),
+        values,
+        tables.get("Stimuli"),
+        tables.get("References"),
+        None if own is None else _number(own, "tolerance", name),
+    )
 
 
 def _number(element: ET.Element, key: str, name: str) -> float:
@@ -235,25 +272,42 @@ def _number(element: ET.Element, key: str, name: str) -> float:
 
 
 def _changed(archive: Archive) -> tuple[str, ...]:
-    """Return the files that the manifest names and are gone, and those without the checksum which the FMU holds of them."""
+    """Return the files that the manifest names and are gone, and those without the checksum which
+    the FMU holds of them.
+    """
     if MANIFEST not in archive.names:
         return ()
     with archive.named():
-        related = [_resolved(MANIFEST, each.get("source", "")) for each in archive.tree(MANIFEST).iter("Related")
-                   if not urlsplit(each.get("source", "")).scheme]  # fmt: skip
+        related = [
+            _resolved(MANIFEST, each.get("source", ""))
+            for each in archive.tree(MANIFEST).iter("Related")
+            if not urlsplit(each.get("source", "")).scheme
+        ]
     gone = [name for name in related if name not in archive.names]
-    sums = archive.read(f"{FOLDER}/{SUMS}").decode("utf-8", "replace") if f"{FOLDER}/{SUMS}" in archive.names else ""
-    listed = {name: digest for digest, _, name in (line.partition("  ") for line in sums.splitlines()) if name}
+    sums = (
+        archive.read(f"{FOLDER}/{SUMS}").decode("utf-8", "replace")
+        if f"{FOLDER}/{SUMS}" in archive.names
+        else ""
+    )
+    listed = {
+        name: digest
+        for digest, _, name in (line.partition("  ") for line in sums.splitlines())
+        if name
+    }
     other = [
-        name for name, digest in listed.items()
+        name
+        for name, digest in listed.items()
         if name not in archive.names or hashlib.sha256(archive.read(name)).hexdigest() != digest
-    ]  # fmt: skip
+    ]
     return tuple(dict.fromkeys([*gone, *other]))
 
 
-# -- running -------------------------------------------------------------------------------------------------------------
+# -- running ---------------------------------------------------------------------------------------
 def _repeated(
-    fmu: Fmu, experiment: Experiment, timeout: float | None, progress: Callable[[str, int, int], None] | None
+    fmu: Fmu,
+    experiment: Experiment,
+    timeout: float | None,
+    progress: Callable[[str, int, int], None] | None,
 ) -> Repeated:
     bus = _bus(fmu, experiment)
     tell = None if progress is None else lambda done: progress(experiment.name, done, bus.steps)
@@ -261,11 +315,19 @@ def _repeated(
     if experiment.reference is None or trace.failure is not None:
         return Repeated(experiment, (), trace)
     time, columns = experiment.reference
-    outside = tuple(name for name in columns if name in fmu.variables and not _comparable(fmu, name))
+    outside = tuple(
+        name for name in columns if name in fmu.variables and not _comparable(fmu, name)
+    )
     compared = {name: values for name, values in columns.items() if name not in outside}
     signals = {name: trace[unit, name] for unit, name in trace.record}
-    limit, slack = (USUAL_TOLERANCE, USUAL_SLACK) if experiment.tolerance is None else (experiment.tolerance, 0)
-    return Repeated(experiment, agreement((time, compared), trace.time, signals, limit, slack), trace, outside)
+    limit, slack = (
+        (USUAL_TOLERANCE, USUAL_SLACK)
+        if experiment.tolerance is None
+        else (experiment.tolerance, 0)
+    )
+    return Repeated(
+        experiment, agreement((time, compared), trace.time, signals, limit, slack), trace, outside
+    )
 
 
 def _comparable(fmu: Fmu, name: str) -> bool:
@@ -279,39 +341,69 @@ def _bus(fmu: Fmu, experiment: Experiment) -> Bus:
     for name in experiment.values:
         if not fmu.has(name, "parameter"):
             known = suggest(name, fmu.names("parameter"))
-            raise BristleError(f"{experiment.source}: the FMU {fmu.path} has no parameter '{name}'{known}")
+            raise BristleError(
+                f"{experiment.source}: the FMU {fmu.path} has no parameter '{name}'{known}"
+            )
     unit, series = fmu.path.stem, {}
     time, columns = experiment.stimuli or (np.zeros(1), {})
     for name, values in columns.items():
         if not (fmu.has(name, "input") and fmu.variables[name].type in NUMBERS):
             known = suggest(name, fmu.names("input"))
-            raise BristleError(f"{experiment.source}: the FMU {fmu.path} has no Real or Boolean input '{name}'{known}")
-        series[unit, name] = _driven(fmu, name, time, values, np.asarray(start + step * np.arange(steps), dtype=np.float64), step)
+            raise BristleError(
+                f"{experiment.source}: the FMU {fmu.path} has no Real or Boolean input"
+                f" '{name}'{known}"
+            )
+        series[unit, name] = _driven(
+            fmu,
+            name,
+            time,
+            values,
+            np.asarray(start + step * np.arange(steps), dtype=np.float64),
+            step,
+        )
     recorded = experiment.reference[1] if experiment.reference else fmu.names("output")
-    record: tuple[Port, ...] = tuple((unit, name) for name in recorded if name in fmu.variables and _comparable(fmu, name))
-    return Bus((Instance(unit, fmu, dict(experiment.values)),), steps, step, series=series, record=record, start=start)
+    record: tuple[Port, ...] = tuple(
+        (unit, name) for name in recorded if name in fmu.variables and _comparable(fmu, name)
+    )
+    return Bus(
+        (Instance(unit, fmu, dict(experiment.values)),),
+        steps,
+        step,
+        series=series,
+        record=record,
+        start=start,
+    )
 
 
 def _driven(fmu: Fmu, name: str, time: Array, values: Array, at: Array, step: float) -> Array:
-    """Return an input at the start of each step: between two rows a line, of a discrete input the row before."""
+    """Return an input at the start of each step: between two rows a line, of a discrete input the
+    row before.
+    """
     if fmu.variables[name].variability == "continuous" and fmu.is_real(name):
         return np.asarray(np.interp(at, time, values))
     return held(time, values, at, step)
 
 
 def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
-    """Return start, step and number of steps: what the experiment says, else the FMU, else its reference."""
+    """Return start, step and number of steps: what the experiment says, else the FMU, else its
+    reference.
+    """
     usual, reference = fmu.description.defaultExperiment, experiment.reference
     said = {name: getattr(usual, name, None) for name in ("startTime", "stopTime", "stepSize")}
     start, stop, step = (
         given if given is not None else float(usual) if usual else None
-        for given, usual in zip((experiment.start, experiment.stop, experiment.step), said.values(), strict=True)
+        for given, usual in zip(
+            (experiment.start, experiment.stop, experiment.step), said.values(), strict=True
+        )
     )
     start = 0.0 if start is None else start
     if stop is None and reference is not None:
         stop = float(reference[0][-1])
     if stop is None:
-        raise BristleError(f"{experiment.source}: experiment '{experiment.name}' says no stopTime, and nor does the FMU")
+        raise BristleError(
+            f"{experiment.source}: experiment '{experiment.name}' says no stopTime, and nor does"
+            " the FMU"
+        )
     step = (stop - start) / STEPS_BY_DEFAULT if step is None else step
     try:
         return start, step, number_of_steps(start, stop, step)
@@ -319,20 +411,31 @@ def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
         raise BristleError(f"{experiment.source}: experiment '{experiment.name}' {error}") from None
 
 
-# -- results -------------------------------------------------------------------------------------------------------------
+# -- results ---------------------------------------------------------------------------------------
 def _files(fmu: Path, replayed: Replayed) -> dict[str, str | bytes]:
     rows = [
         {
-            "name": each.experiment.name, "verdict": each.verdict, "summary": each.summary,
-            "signals": rows_of(each.agreement), "not_compared": list(each.not_compared),
+            "name": each.experiment.name,
+            "verdict": each.verdict,
+            "summary": each.summary,
+            "signals": rows_of(each.agreement),
+            "not_compared": list(each.not_compared),
         }
         for each in replayed.experiments
-    ]  # fmt: skip
+    ]
     verdict = "pass" if replayed.passed else "fail"
-    about = {"fmu": fmu.name, "sha256": Fmu(fmu).sha256, "verdict": verdict, "experiments": rows, "changed": list(replayed.changed)}
+    about = {
+        "fmu": fmu.name,
+        "sha256": Fmu(fmu).sha256,
+        "verdict": verdict,
+        "experiments": rows,
+        "changed": list(replayed.changed),
+    }
     files: dict[str, str | bytes] = {"result.json": to_json({**about, "provenance": provenance()})}
     for k, each in enumerate(replayed.experiments, 1):
-        files[f"signals_{k}.csv"] = signals_text(each.trace, [name for _, name in each.trace.record])
+        files[f"signals_{k}.csv"] = signals_text(
+            each.trace, [name for _, name in each.trace.record]
+        )
     return files | {"report.html": _page(fmu, replayed, files)}
 
 
@@ -340,13 +443,18 @@ def _page(fmu: Path, replayed: Replayed, files: Iterable[str]) -> str:
     head = badge("good", "pass") if replayed.passed else badge("bad", "fail")
     found = [signal for each in replayed.experiments for signal in each.agreement]
     count = f'<p class="tally">{tally_of(found)}</p>' if found else ""
-    body = f"<header>{count}<h1>Experiments of {identifier(fmu.name)} {head}</h1>{beside(files)}</header>"
+    body = (
+        f"<header>{count}<h1>Experiments of {identifier(fmu.name)}"
+        f" {head}</h1>{beside(files)}</header>"
+    )
     if replayed.changed:
         names = ", ".join(identifier(name) for name in replayed.changed)
         body += f'<p class="alarm">Not as they were when the FMU was made: {names}.</p>'
     for each in replayed.experiments:
         badge_of = badge("good" if each.passed else "bad", each.verdict)
-        body += f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{escape(each.summary)}.</p>"
+        body += (
+            f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{escape(each.summary)}.</p>"
+        )
         if each.agreement:
             text = "Largest difference from the reference, over the size of the signal, and when."
             body += f"<p>{text}</p>" + table_of(each.agreement)

@@ -40,22 +40,38 @@ from bristle.harness.validation import Validation
 Array = NDArray[np.float64]
 
 SCATTER_POINTS = 5000  # points of a scatter diagram
-LOOP_SECONDS, LOOP_SPEED = 5.0, 0.25  # s at the end of the run, share of the rms speed: friction loops near rest that are shown
+# s at the end of the run, share of the rms speed: friction loops near rest that are shown
+LOOP_SECONDS, LOOP_SPEED = 5.0, 0.25
 SPREAD = 2.0  # standard deviations to either side of an estimate that its band shows
-EXCURSION = 1.5  # of the size of what is shown, by which an estimate may leave it before it is cut off
+# of the size of what is shown, by which an estimate may leave it before it is cut off
+EXCURSION = 1.5
 SHOWN_SECONDS = 10.0  # s at the end of the run: signals that are shown
-PLAIN_SYMBOLS = {  # of the parameters, as plain characters: mathematical typesetting takes as long as a figure
-    "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
-    "a0": "a₀", "a1": "a₁", "v0": "v₀",
-}  # fmt: skip
-INPUT_LABELS = {"V": "voltage, V", "A": "current, A", "N.m": "torque, N·m", "N": "force, N"}  # by the unit of the input
-SPEED_SCALES = {"rad": (DEGREES, "deg/s"), "m": (1.0, "m/s")}  # by the unit of the position: factor and unit on the axes
+# of the parameters, as plain characters: mathematical typesetting takes as long as a figure
+PLAIN_SYMBOLS = {
+    "alpha2": "α₂",
+    "b": "b",
+    "Fc": "Fc",
+    "sigma0": "σ₀",
+    "sigma1": "σ₁",
+    "sigma2": "σ₂",
+    "c": "c",
+    "tau": "τ",
+    "a0": "a₀",
+    "a1": "a₁",
+    "v0": "v₀",
+}
+# by the unit of the input
+INPUT_LABELS = {"V": "voltage, V", "A": "current, A", "N.m": "torque, N·m", "N": "force, N"}
+# by the unit of the position: factor and unit on the axes
+SPEED_SCALES = {"rad": (DEGREES, "deg/s"), "m": (1.0, "m/s")}
 MODEL_COLOURS = {"model": ESTIMATE, "floor": LIMIT, "coulomb": OTHER, "linear": BASELINE}
 
 
 @dataclass
 class Pictures:
-    """The data of the figures, in SI units; `measured`: they are those of a record, which nobody knows the truth of."""
+    """The data of the figures, in SI units; `measured`: they are those of a record, which nobody
+    knows the truth of.
+    """
 
     time: Array
     estimates: Mapping[str, Mapping[str, Any]]
@@ -92,9 +108,13 @@ def draw(pictures: Pictures) -> dict[str, Drawing]:
     made = {}
     with rc_context(STYLE):
         for name, painter in (
-            ("estimates", _estimates), ("signals", _signals), ("tracking", _tracking), ("friction", _friction),
-            ("validation", _validation), ("models", _models),
-        ):  # fmt: skip
+            ("estimates", _estimates),
+            ("signals", _signals),
+            ("tracking", _tracking),
+            ("friction", _friction),
+            ("validation", _validation),
+            ("models", _models),
+        ):
             figure = painter(pictures)
             if figure is not None:
                 made[name] = svg(figure, name)
@@ -109,14 +129,16 @@ def _unit(text: str) -> str:
     )
 
 
-# -- estimates -------------------------------------------------------------------------------------------------------
+# -- estimates -------------------------------------------------------------------------------------
 
 
 def _estimates(pictures: Pictures) -> Any:
     names = list(pictures.published)
     if not names:
         return None
-    columns = len(names) if len(names) <= 3 else 2 if len(names) == 4 else 3 if len(names) <= 6 else 4
+    columns = (
+        len(names) if len(names) <= 3 else 2 if len(names) == 4 else 3 if len(names) <= 6 else 4
+    )
     rows = -(-len(names) // columns)
     figure = new_figure(11.0, 2.15 * rows + 0.35)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
@@ -140,7 +162,14 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     if true is not None:
         level = true if np.ptp(true) else true[[0, -1]]
         when = time if np.ptp(true) else time[[0, -1]]
-        time_band(ax, when, level * (1 - SETTLING_BAND / 100), level * (1 + SETTLING_BAND / 100), LIMIT, 0.16)
+        time_band(
+            ax,
+            when,
+            level * (1 - SETTLING_BAND / 100),
+            level * (1 + SETTLING_BAND / 100),
+            LIMIT,
+            0.16,
+        )
         time_curve(ax, when, level, TRUTH, "true value", linestyle=(0, (4, 3)), linewidth=1.1)
     _limits(ax, course, true)
     _course(ax, time, course)
@@ -152,13 +181,23 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     if not facts["valid"]:
         set_title(ax, "not valid", loc="right", fontsize=8, color=FAILED)
     elif error is not None and math.isfinite(error):
-        when_settled = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
+        when_settled = (
+            f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
+        )
         inside = abs(error) <= SETTLING_BAND
-        set_title(ax, f"{error:+.2g} %, {when_settled}", loc="right", fontsize=8, color=LIMIT if inside else FAILED)
+        set_title(
+            ax,
+            f"{error:+.2g} %, {when_settled}",
+            loc="right",
+            fontsize=8,
+            color=LIMIT if inside else FAILED,
+        )
 
 
 def _course(ax: Any, time: Array, course: Course) -> None:
-    """Draw an estimate with its band: in colour where it is valid, grey and dashed where it is not."""
+    """Draw an estimate with its band: in colour where it is valid, grey and dashed where it is
+    not.
+    """
     valid = course.valid.astype(bool)
     spread = None if course.sd is None or not course.sd.any() else SPREAD * course.sd
     for chosen, colour, style, label in (
@@ -174,26 +213,39 @@ def _course(ax: Any, time: Array, course: Course) -> None:
 
 
 def _limits(ax: Any, course: Course, true: Array | None) -> None:
-    """Show the truth, if it is known, and where the estimate goes that counts, but not the whole of a first excursion."""
+    """Show the truth, if it is known, and where the estimate goes that counts, but not the whole of
+    a first excursion.
+    """
     finite, valid = np.isfinite(course.hat), course.valid.astype(bool)
     counts = finite & (valid if valid[-1] else np.arange(len(finite)) >= len(finite) // 2)
     hat = course.hat[counts if true is None else finite]
     if not len(hat):
         return
-    spread = SPREAD * float(np.median(course.sd[counts])) if course.sd is not None and counts.any() else 0.0
+    spread = (
+        SPREAD * float(np.median(course.sd[counts]))
+        if course.sd is not None and counts.any()
+        else 0.0
+    )
     low, high = np.percentile(hat, (1, 99)).tolist()
     if true is None:
         size = high - low + spread or abs(high) or 1.0
     else:
-        size, least, most = float(np.max(np.abs(true))) or spread or high - low or 1.0, float(true.min()), float(true.max())
-        low, high = max(min(low, least), least - EXCURSION * size), min(max(high, most), most + EXCURSION * size)
+        size, least, most = (
+            float(np.max(np.abs(true))) or spread or high - low or 1.0,
+            float(true.min()),
+            float(true.max()),
+        )
+        low, high = (
+            max(min(low, least), least - EXCURSION * size),
+            min(max(high, most), most + EXCURSION * size),
+        )
         if valid[-1]:  # what counts is shown, however far off it is
             low, high = min(low, float(course.hat[-1])), max(high, float(course.hat[-1]))
     margin = max(0.08 * (high - low), 0.08 * size, min(spread, EXCURSION * size))
     ax.set_ylim(low - margin, high + margin)
 
 
-# -- signals ---------------------------------------------------------------------------------------------------------
+# -- signals ---------------------------------------------------------------------------------------
 
 
 def _part(time: Array) -> tuple[float, float] | None:
@@ -209,11 +261,16 @@ def _signals(pictures: Pictures) -> Any:
     figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
     time_panel(top, part=_part(time))
-    shown = (MEASURED, "measured velocity", {"linewidth": 0.9}) if pictures.measured else (TRUTH, "velocity", {"linewidth": 0.9})
+    shown = (
+        (MEASURED, "measured velocity", {"linewidth": 0.9})
+        if pictures.measured
+        else (TRUTH, "velocity", {"linewidth": 0.9})
+    )
     curves = (
         ("reference", REFERENCE_COLOUR, "reference", {"linewidth": 0.9}),
-        ("v_hat", ESTIMATE, "estimate of the velocity", {"linewidth": 2.4}), ("v", *shown),
-    )  # fmt: skip
+        ("v_hat", ESTIMATE, "estimate of the velocity", {"linewidth": 2.4}),
+        ("v", *shown),
+    )
     for key, colour, label, style in curves:
         if key in signals and np.isfinite(signals[key]).any():
             time_curve(top, time, signals[key] * pictures.speed_scale, colour, label, **style)
@@ -226,7 +283,7 @@ def _signals(pictures: Pictures) -> Any:
     return figure
 
 
-# -- tracking --------------------------------------------------------------------------------------------------------
+# -- tracking --------------------------------------------------------------------------------------
 
 
 def _tracking(pictures: Pictures) -> Any:
@@ -239,7 +296,10 @@ def _tracking(pictures: Pictures) -> Any:
     for ax in (top, bottom):
         time_panel(ax, part=_part(time))
     time_curve(top, time, found.reference * DEGREES, REFERENCE_COLOUR, "reference", linewidth=0.9)
-    for error, colour, label in ((found.alone, OTHER, "controller alone"), (found.compensated, ESTIMATE, "with compensation")):
+    for error, colour, label in (
+        (found.alone, OTHER, "controller alone"),
+        (found.compensated, ESTIMATE, "with compensation"),
+    ):
         time_curve(top, time, (found.reference - error) * DEGREES, colour, linewidth=1.0)
         time_curve(bottom, time, error * DEGREES, colour, label, linewidth=1.0)
     bottom.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
@@ -249,7 +309,7 @@ def _tracking(pictures: Pictures) -> Any:
     return figure
 
 
-# -- friction --------------------------------------------------------------------------------------------------------
+# -- friction --------------------------------------------------------------------------------------
 
 
 def _friction(pictures: Pictures) -> Any:
@@ -257,7 +317,10 @@ def _friction(pictures: Pictures) -> Any:
         return None
     figure = new_figure(11.0, 3.9)
     wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
-    slow = LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2))) or 1.0
+    slow = (
+        LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2)))
+        or 1.0
+    )
     for cloud, colour, size, label in (
         (pictures.friction_hat, ESTIMATE, 4.5, "observer"),
         (pictures.friction, TRUTH, 1.6, "plant, F/J"),
@@ -266,11 +329,31 @@ def _friction(pictures: Pictures) -> Any:
             continue
         v, force = cloud[0] * pictures.speed_scale, cloud[1]
         index = thin(len(v), SCATTER_POINTS)
-        wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
+        wide.plot(
+            v[index],
+            force[index],
+            ".",
+            color=colour,
+            markersize=size,
+            markeredgewidth=0,
+            label=label,
+            rasterized=True,
+        )
         last = slice(-round(LOOP_SECONDS / pictures.step), None)
         width = 2.6 if colour == ESTIMATE else 0.9
-        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), color=colour, linewidth=width)
-    set_labels(wide, y=f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'}, {pictures.rig.position}/s²")
+        near.plot(
+            v[last],
+            np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan),
+            color=colour,
+            linewidth=width,
+        )
+    set_labels(
+        wide,
+        y=(
+            f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'},"
+            f" {pictures.rig.position}/s²"
+        ),
+    )
     set_title(wide, "whole range")
     seconds = min(LOOP_SECONDS, pictures.step * len(pictures.signals["v"]))
     set_title(near, f"near rest, the last {seconds:.3g} s: presliding loops")
@@ -281,7 +364,7 @@ def _friction(pictures: Pictures) -> Any:
     return figure
 
 
-# -- validation ------------------------------------------------------------------------------------------------------
+# -- validation ------------------------------------------------------------------------------------
 
 
 def _validation(pictures: Pictures) -> Any:
@@ -317,12 +400,16 @@ def _models(pictures: Pictures) -> Any:
 
 def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     shown = [
-        (name, scores[name]) for name in ("model", "floor", "coulomb", "linear") if name in scores and math.isfinite(scores[name])
+        (name, scores[name])
+        for name in ("model", "floor", "coulomb", "linear")
+        if name in scores and math.isfinite(scores[name])
     ]
     set_title(ax, "MSE, % of variance (log scale)")
     ax.grid(axis="y", visible=False)
     if not shown:
-        ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=INK)
+        ax.text(
+            0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=INK
+        )
         ax.set_axis_off()
         return
     values = [max(value, 1e-14) for _, value in shown]
@@ -330,7 +417,14 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     right = max(values) * 1.5
     for row, ((name, value), bar) in enumerate(zip(shown, values, strict=True)):
         ax.barh(row, bar - left, left=left, color=MODEL_COLOURS[name], height=0.42)
-        ax.text(left * 1.15, row - 0.34, f"{MODEL_LABELS[name]}: {value:.3g} %", va="center", fontsize=8.5, color=INK)
+        ax.text(
+            left * 1.15,
+            row - 0.34,
+            f"{MODEL_LABELS[name]}: {value:.3g} %",
+            va="center",
+            fontsize=8.5,
+            color=INK,
+        )
     ax.set_xscale("log")
     ax.set_xlim(left, right)
     ax.set_ylim(len(shown) - 0.5, -0.7)

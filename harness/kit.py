@@ -1,4 +1,6 @@
-"""A scenario as one file for another lab (SSP with its FMUs, reference signals and verdict), and the replay of such files."""
+"""A scenario as one file for another lab (SSP with its FMUs, reference signals and verdict), and
+the replay of such files.
+"""
 
 from __future__ import annotations
 
@@ -39,19 +41,30 @@ from bristle.harness.replay import (
     verdict_of,
 )
 from bristle.harness.run import Options, Outcome, check, outcome
-from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, Component, Package, SystemStructure, package_files
+from bristle.harness.ssp import (
+    CSV_TYPE,
+    FMU_TYPE,
+    Component,
+    Package,
+    SystemStructure,
+    package_files,
+)
 
 REFERENCE_SIGNALS = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
 OWN_REFERENCES = (Path(REFERENCE_SIGNALS).name, Path(VERDICT).name)
-MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250  # of a run that an FMU holds: inputs at each step, outputs at some
-REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
+# of a run that an FMU holds: inputs at each step, outputs at some
+MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250
+# of the range of a signal: most that a replay may differ from the reference
+REPLAY_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class Replayed:
-    """A replayed package: its signals against the reference, if it has one, and where the results are."""
+    """A replayed package: its signals against the reference, if it has one, and where the results
+    are.
+    """
 
     folder: Path
     agreement: tuple[Agreement, ...]
@@ -69,9 +82,10 @@ class Replayed:
         return self.verdict != "fail"
 
 
-# -- export --------------------------------------------------------------------------------------------------------------
+# -- export ----------------------------------------------------------------------------------------
 def export(path: Path, out: Path, options: Options | None = None, platforms: str = "host") -> Path:
-    """Write a scenario as `out/<scenario>.ssp`, with fmus/, reference/ and README.md beside it; return the package.
+    """Write a scenario as `out/<scenario>.ssp`, with fmus/, reference/ and README.md beside it;
+    return the package.
 
     Parameters
     ----------
@@ -94,10 +108,16 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         setup = checked.setup
         _refuse_other(out, setup.loaded.name)
         if setup.samples is not None:
-            raise setup.loaded.error("record", None, "a measured record is no co-simulation; export a scenario with a [plant]")
+            raise setup.loaded.error(
+                "record",
+                None,
+                "a measured record is no co-simulation; export a scenario with a [plant]",
+            )
         if setup.scenario.controller.compensation != "none":
             raise setup.loaded.error(
-                "controller.compensation", None, "estimates that reach the controller are not exported; write none"
+                "controller.compensation",
+                None,
+                "estimates that reach the controller are not exported; write none",
             )
         with TemporaryFolder("kit") as folder:
             fmus = {name: _own_fmu(setup, name, Path(folder), platforms) for name in setup.fmus}
@@ -106,14 +126,26 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
             bus = _bus_of(checked.bus, fmus)
             found = outcome(replace(checked, bus=bus))
             if (failure := found.view.trace.failure) is not None:
-                raise BristleError(f"{path}: the run ends at {failure.time:g} s: {failure.message}; export one that ends well")
-            files = {f"{name}.fmu": _with_experiments(file, name, bus, setup, found) for name, file in fmus.items()}
+                raise BristleError(
+                    f"{path}: the run ends at {failure.time:g} s: {failure.message}; export one"
+                    " that ends well"
+                )
+            files = {
+                f"{name}.fmu": _with_experiments(file, name, bus, setup, found)
+                for name, file in fmus.items()
+            }
         system = _system(setup, bus)
         content = _content(setup, found)
-        package = archive_bytes(package_files(system) | {f"resources/{name}": data for name, data in files.items()} | content)
+        package = archive_bytes(
+            package_files(system)
+            | {f"resources/{name}": data for name, data in files.items()}
+            | content
+        )
         written = {
             f"{setup.loaded.name}.ssp": package,
-            "README.md": readme(system, setup.loaded.name, REPLAY_TOLERANCE, MOST_STEPS_INSIDE).encode(),
+            "README.md": (
+                readme(system, setup.loaded.name, REPLAY_TOLERANCE, MOST_STEPS_INSIDE).encode()
+            ),
         }
         written |= {f"fmus/{name}": data for name, data in files.items()}
         written |= {name.removeprefix("resources/"): data for name, data in content.items()}
@@ -122,19 +154,39 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
 
 
 def _refuse_other(out: Path, name: str) -> None:
-    """Refuse a folder that holds anything but an earlier export of the same scenario, all files of which are replaced."""
+    """Refuse a folder that holds anything but an earlier export of the same scenario, all files of
+    which are replaced.
+    """
     inside = list(out.iterdir()) if out.is_dir() else []
-    kinds = {f"{name}.ssp": Path.is_file, "README.md": Path.is_file, "fmus": Path.is_dir, "reference": Path.is_dir}
+    kinds = {
+        f"{name}.ssp": Path.is_file,
+        "README.md": Path.is_file,
+        "fmus": Path.is_dir,
+        "reference": Path.is_dir,
+    }
     known = {*kinds, f"{STIMULI}.csv"}
-    files = [each for folder in ("fmus", "reference") if (out / folder).is_dir() for each in (out / folder).iterdir()]
-    ours = all(each.name in known for each in inside) and all(right(out / each) for each, right in kinds.items())
-    ours = ours and all(each.is_file() and (each.suffix == ".fmu" or each.name in OWN_REFERENCES) for each in files)
+    files = [
+        each
+        for folder in ("fmus", "reference")
+        if (out / folder).is_dir()
+        for each in (out / folder).iterdir()
+    ]
+    ours = all(each.name in known for each in inside) and all(
+        right(out / each) for each, right in kinds.items()
+    )
+    ours = ours and all(
+        each.is_file() and (each.suffix == ".fmu" or each.name in OWN_REFERENCES) for each in files
+    )
     if inside and not ours:
-        raise BristleError(f"{out}: holds other files than an export of '{name}'; choose an empty folder")
+        raise BristleError(
+            f"{out}: holds other files than an export of '{name}'; choose an empty folder"
+        )
 
 
 def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
-    """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere as it is."""
+    """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere
+    as it is.
+    """
     from bristle.fmus.build import build, nothing
 
     fmu, target = setup.fmus[name], folder / f"{name}.fmu"
@@ -143,24 +195,39 @@ def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
         return target
     scenario = setup.scenario
     plant, method = scenario.plant, scenario.observer.method
-    chosen: dict[str, Any] = {"law": plant.law, "effects": plant.effects} if name == "plant" and plant else {}
+    chosen: dict[str, Any] = (
+        {"law": plant.law, "effects": plant.effects} if name == "plant" and plant else {}
+    )
     chosen |= {"method": method} if name == "observer" else {}
     version = int(str(fmu.description.fmiVersion)[0])
     return build(
-        name, target, fmi=version, kind=fmu.kind, parameters=_numbers(setup, name), platforms=platforms,
-        related=nothing, **chosen,
-    )  # fmt: skip
+        name,
+        target,
+        fmi=version,
+        kind=fmu.kind,
+        parameters=_numbers(setup, name),
+        platforms=platforms,
+        related=nothing,
+        **chosen,
+    )
 
 
 def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outcome) -> bytes:
-    """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as it is."""
+    """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as
+    it is.
+    """
     if name in setup.fmus and setup.fmus[name].foreign:
         return file.read_bytes()
     archive = Archive(file)
     content = {each: archive.read(each) for each in archive.names}
     experiments = [_part_of_run(name, bus, setup, found.view.trace)] if name in setup.fmus else []
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
-    return archive_bytes({**content, **related_files(content, experiments, report={"verdict.json": to_json(about).encode()})})
+    return archive_bytes(
+        {
+            **content,
+            **related_files(content, experiments, report={"verdict.json": to_json(about).encode()}),
+        }
+    )
 
 
 def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
@@ -169,14 +236,30 @@ def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
     given = {port: each.values(bus.steps, bus.h) for each in setup.stimuli for port in each.ports}
     given |= {target: trace[source] for source, target in bus.links}
     rows = np.arange(0, steps + 1, max(1, steps // MOST_ROWS_INSIDE))
-    outputs = {variable: trace[unit, variable][rows] for unit, variable in trace.record if unit == name}
-    about = f"the first {steps * bus.h:g} s of scenario {setup.loaded.name}, with the inputs that it got there"
-    stimuli = {variable: values[:steps] for (unit, variable), values in given.items() if unit == name}
-    return Experiment("validation", about, bus.h, steps, stimuli, {"time": np.asarray(bus.h * rows, dtype=np.float64), **outputs})
+    outputs = {
+        variable: trace[unit, variable][rows] for unit, variable in trace.record if unit == name
+    }
+    about = (
+        f"the first {steps * bus.h:g} s of scenario {setup.loaded.name}, with the inputs that it"
+        " got there"
+    )
+    stimuli = {
+        variable: values[:steps] for (unit, variable), values in given.items() if unit == name
+    }
+    return Experiment(
+        "validation",
+        about,
+        bus.h,
+        steps,
+        stimuli,
+        {"time": np.asarray(bus.h * rows, dtype=np.float64), **outputs},
+    )
 
 
 def _tabulated(setup: Setup) -> bool:
-    """True if an input is noise, which only a table gives; many tools take no table for a component."""
+    """True if an input is noise, which only a table gives; many tools take no table for a
+    component.
+    """
     return any(each.noise is not None for each in setup.stimuli)
 
 
@@ -187,20 +270,36 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
     sources = []
     for each in setup.stimuli:
         levels = tuple((step * setup.h, level) for step, level in each.levels)
-        sine = None if each.sine is None else (each.sine[1], each.sine[0].frequency, each.sine[0].phase)
-        sources.append(Source(each.variable, setup.fmus[each.unit].unit(each.variable), each.start, levels, sine))
+        sine = (
+            None
+            if each.sine is None
+            else (each.sine[1], each.sine[0].frequency, each.sine[0].phase)
+        )
+        sources.append(
+            Source(
+                each.variable, setup.fmus[each.unit].unit(each.variable), each.start, levels, sine
+            )
+        )
     return build_source(sources, setup.h, folder / f"{STIMULI}.fmu", platforms=platforms)
 
 
 def _numbers(setup: Setup, name: str) -> dict[str, float]:
     """Return the values of a unit's parameters, without the choice of law or method."""
-    return {key: float(value) for key, value in setup.values[name].items() if key != SELECTOR_PARAMETERS.get(name)}
+    return {
+        key: float(value)
+        for key, value in setup.values[name].items()
+        if key != SELECTOR_PARAMETERS.get(name)
+    }
 
 
 def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
     """Return the bus with the FMUs of the kit; our own need no values."""
     instances = (
-        Instance(each.name, Fmu(fmus[each.name], each.fmu.foreign), each.values if each.fmu.foreign else {})
+        Instance(
+            each.name,
+            Fmu(fmus[each.name], each.fmu.foreign),
+            each.values if each.fmu.foreign else {},
+        )
         for each in bus.instances
     )
     return replace(bus, instances=tuple(instances))
@@ -212,7 +311,9 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
     for each in bus.instances:
         values: dict[str, Value] = {**(each.values or _numbers(setup, each.name))}
         connectors = {name: "input" for name in each.fmu.names("input") if each.fmu.is_real(name)}
-        connectors |= {name: "output" for name in each.fmu.names("output") if each.fmu.is_real(name)}
+        connectors |= {
+            name: "output" for name in each.fmu.names("output") if each.fmu.is_real(name)
+        }
         connectors |= dict.fromkeys(values, "parameter")
         components.append(Component(each.name, f"resources/{each.name}.fmu", connectors, values))
     if setup.stimuli:
@@ -220,16 +321,25 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
         suffix, kind = ("csv", CSV_TYPE) if _tabulated(setup) else ("fmu", FMU_TYPE)
         components.append(Component(STIMULI, f"resources/{STIMULI}.{suffix}", names, type=kind))
         links += [((STIMULI, each.variable), port) for each in setup.stimuli for port in each.ports]
-    return SystemStructure(setup.loaded.name, tuple(components), tuple(links), setup.steps * setup.h, setup.h)
+    return SystemStructure(
+        setup.loaded.name, tuple(components), tuple(links), setup.steps * setup.h, setup.h
+    )
 
 
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
     # command and folder name folders of this machine
-    made = {key: each for key, each in found.result["provenance"].items() if key not in {"command", "folder"}}
+    made = {
+        key: each
+        for key, each in found.result["provenance"].items()
+        if key not in {"command", "folder"}
+    }
     about |= {"provenance": made}
-    files = {REFERENCE_SIGNALS: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
+    files = {
+        REFERENCE_SIGNALS: _signals(found.view.trace).encode(),
+        VERDICT: to_json(about).encode(),
+    }
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
@@ -237,9 +347,15 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     return files
 
 
-# -- replay --------------------------------------------------------------------------------------------------------------
-def replay(path: Path, out: Path, timeout: float | None = None, progress: Callable[[int, int], None] | None = None) -> Replayed:
-    """Run a package of any maker, compare it with the reference that it holds, and write `out/<its name>`.
+# -- replay ----------------------------------------------------------------------------------------
+def replay(
+    path: Path,
+    out: Path,
+    timeout: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Replayed:
+    """Run a package of any maker, compare it with the reference that it holds, and write `out/<its
+    name>`.
 
     Parameters
     ----------
@@ -261,11 +377,19 @@ def replay(path: Path, out: Path, timeout: float | None = None, progress: Callab
     with output_folder(out), TemporaryFolder("kit") as folder:
         results.refuse_strange(out / path.stem)
         bus = _replay_bus(package, Path(folder))
-        trace = simulate_isolated(bus, None if progress is None else lambda done: progress(done, bus.steps), timeout=timeout)
+        trace = simulate_isolated(
+            bus,
+            None if progress is None else lambda done: progress(done, bus.steps),
+            timeout=timeout,
+        )
         compared = REFERENCE_SIGNALS in package.names
         agreement = _agreement(package, trace) if compared else ()
         failure = (
-            "" if trace.failure is None else f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
+            ""
+            if trace.failure is None
+            else (
+                f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
+            )
         )
         found = Replayed(out / path.stem, agreement, failure, compared)
         results.write(out, path.stem, _replay_files(package, found, trace))
@@ -274,7 +398,11 @@ def replay(path: Path, out: Path, timeout: float | None = None, progress: Callab
 
 def _replay_bus(package: Package, folder: Path) -> Bus:
     system = package.system
-    fmus = {each.name: _unpacked(package, each, folder) for each in system.components if each.type != CSV_TYPE}
+    fmus = {
+        each.name: _unpacked(package, each, folder)
+        for each in system.components
+        if each.type != CSV_TYPE
+    }
     if not fmus:
         raise package.mistake("has no FMU")
     step, stop = _times(package, fmus)
@@ -282,20 +410,37 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
         steps = number_of_steps(system.start, stop, step)
     at = np.asarray(system.start + step * np.arange(steps), dtype=np.float64)
     links, series = [], {}
-    tables = {each.name: package.columns(each.source) for each in system.components if each.type == CSV_TYPE}
+    tables = {
+        each.name: package.columns(each.source)
+        for each in system.components
+        if each.type == CSV_TYPE
+    }
     for source, target in system.connections:
         _check_port(package, fmus, target, "input")
         if source[0] in tables:
             time, columns = tables[source[0]]
             if source[1] not in columns:
-                raise package.mistake(f"{source[0]} has no column '{source[1]}'{suggest(source[1], list(columns))}")
+                raise package.mistake(
+                    f"{source[0]} has no column '{source[1]}'{suggest(source[1], list(columns))}"
+                )
             series[target] = held(time, columns[source[1]], at, step)
         else:
             _check_port(package, fmus, source, "output")
             links.append((source, target))
-    instances = tuple(Instance(each.name, fmus[each.name], dict(each.values)) for each in system.components if each.name in fmus)
-    record = tuple((name, each) for name, fmu in fmus.items() for each in fmu.names("output") if fmu.is_real(each))
-    return Bus(instances, steps, step, links=tuple(links), series=series, record=record, start=system.start)
+    instances = tuple(
+        Instance(each.name, fmus[each.name], dict(each.values))
+        for each in system.components
+        if each.name in fmus
+    )
+    record = tuple(
+        (name, each)
+        for name, fmu in fmus.items()
+        for each in fmu.names("output")
+        if fmu.is_real(each)
+    )
+    return Bus(
+        instances, steps, step, links=tuple(links), series=series, record=record, start=system.start
+    )
 
 
 def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
@@ -305,7 +450,9 @@ def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
     for name in component.values:
         if not fmu.has(name, "parameter"):
             known = fmu.names("parameter")
-            raise package.mistake(f"component '{component.name}' has no parameter '{name}'{suggest(name, known)}")
+            raise package.mistake(
+                f"component '{component.name}' has no parameter '{name}'{suggest(name, known)}"
+            )
     return fmu
 
 
@@ -316,7 +463,9 @@ def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
     stops = [float(each.stopTime) for each in experiments if each is not None and each.stopTime]
     stop = package.system.stop if package.system.stop is not None else max(stops, default=None)
     if stop is None:
-        raise package.mistake("says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime")
+        raise package.mistake(
+            "says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime"
+        )
     usual = min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
     step = usual if package.system.step is None else package.system.step
     return step, stop
@@ -326,7 +475,9 @@ def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality
     unit, name = port
     if unit not in fmus or not fmus[unit].has(name, causality) or not fmus[unit].is_real(name):
         known = suggest(name, fmus[unit].names(causality)) if unit in fmus else ""
-        raise package.mistake(f"a connection needs the Real {causality} {unit}.{name}, which does not exist{known}")
+        raise package.mistake(
+            f"a connection needs the Real {causality} {unit}.{name}, which does not exist{known}"
+        )
 
 
 def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
@@ -341,9 +492,18 @@ def _signals(trace: Trace) -> str:
 
 def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
     recorded = _recorded(package)
-    tree = {"package": package.path.name, "verdict": found.verdict, "failure": found.failure, "signals": rows_of(found.agreement)}
+    tree = {
+        "package": package.path.name,
+        "verdict": found.verdict,
+        "failure": found.failure,
+        "signals": rows_of(found.agreement),
+    }
     content = to_json({**tree, "recorded": recorded, "provenance": provenance()})
-    return {"result.json": content, "signals.csv": _signals(trace), "report.html": _page(package, found)}
+    return {
+        "result.json": content,
+        "signals.csv": _signals(trace),
+        "report.html": _page(package, found),
+    }
 
 
 def _recorded(package: Package) -> Any:
@@ -358,8 +518,11 @@ def _recorded(package: Package) -> Any:
 
 def _page(package: Package, found: Replayed) -> str:
     head = badge("good" if found.passed else "bad", found.verdict)
-    text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
-        "The package holds no reference to compare with."  # fmt: skip
+    text = (
+        "Largest difference from the reference, over the range of the signal, and when."
+        if found.compared
+        else "The package holds no reference to compare with."
+    )
     failure = f'<p class="alarm">{escape(found.failure)}</p>' if found.failure else ""
     count = f'<p class="tally">{tally_of(found.agreement)}</p>' if found.compared else ""
     title = f"<h1>Replay of {identifier(package.path.name)} {head}</h1>"

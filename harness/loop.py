@@ -1,8 +1,9 @@
 """Co-simulation of FMUs over a bus, step by step, and one FMU over a recorded input.
 
-Timing: all units see the bus as it stood at the start of a step (Jacobi). What a unit publishes at t_k+1 was computed
-from the bus of t_k. For comparison, `Bus.sequential` lets each unit see what those before it have just published
-(Gauss-Seidel), and `Bus.split` makes several communication steps of each row.
+Timing: all units see the bus as it stood at the start of a step (Jacobi). What a unit publishes at
+t_k+1 was computed from the bus of t_k. For comparison, `Bus.sequential` lets each unit see what
+those before it have just published (Gauss-Seidel), and `Bus.split` makes several communication
+steps of each row.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ from numpy.typing import NDArray
 
 from bristle.fmus.calls import CONTROL_SIZE, WATCH, Call
 from bristle.fmus.host import Fmu, Slave, Value
-from bristle.harness.compiled import HUGE, Compiled, Lifecycle, Memory, Unit, library, native_available, pointer
+from bristle.harness.compiled import (
+    HUGE,
+    Compiled,
+    Lifecycle,
+    Memory,
+    Unit,
+    library,
+    native_available,
+    pointer,
+)
 
 Array = NDArray[np.float64]
 Port = tuple[str, str]  # (unit, variable)
@@ -43,10 +53,11 @@ class Instance:
 class Bus:
     """What is co-simulated.
 
-    `links` lead from outputs to inputs, `events` are (step, input, value) in order of time, `series` holds recorded
-    inputs, a value for each step; `record` names the outputs kept at every step, `flags` what is read only now and
-    then (Booleans, calculated parameters), and `watch` the units whose recorded outputs must stay below `HUGE`. Of a
-    recorded input, row k + 1 holds what the unit got from t_k to t_k+1, its mean if that are several communication steps.
+    `links` lead from outputs to inputs, `events` are (step, input, value) in order of time,
+    `series` holds recorded inputs, a value for each step; `record` names the outputs kept at every
+    step, `flags` what is read only now and then (Booleans, calculated parameters), and `watch` the
+    units whose recorded outputs must stay below `HUGE`. Of a recorded input, row k + 1 holds what
+    the unit got from t_k to t_k+1, its mean if that are several communication steps.
     """
 
     instances: tuple[Instance, ...]
@@ -84,7 +95,9 @@ class Failure:
 
 @dataclass(frozen=True)
 class Readings:
-    """What was read of flags now and then: `values` (readings, ports) at `rows` (readings,), the first at row 0."""
+    """What was read of flags now and then: `values` (readings, ports) at `rows` (readings,), the
+    first at row 0.
+    """
 
     ports: tuple[Port, ...]
     rows: NDArray[np.int64]
@@ -93,7 +106,10 @@ class Readings:
     @classmethod
     def of(cls, ports: tuple[Port, ...], found: Sequence[tuple[int, Sequence[float]]]) -> Readings:
         """Return readings given one after the other, as row and values."""
-        rows, values = np.array([row for row, _ in found], dtype=np.int64), np.array([each for _, each in found], dtype=float)
+        rows, values = (
+            np.array([row for row, _ in found], dtype=np.int64),
+            np.array([each for _, each in found], dtype=float),
+        )
         return cls(ports, rows, values.reshape(len(rows), len(ports)))
 
     @cached_property
@@ -104,7 +120,9 @@ class Readings:
     def from_first_sample(self) -> Readings:
         """Return them as belongs to a record, which has no row for the start."""
         later = self.rows > 0
-        return Readings(self.ports, self.rows[later] - 1, self.values[later]) if later.any() else self
+        return (
+            Readings(self.ports, self.rows[later] - 1, self.values[later]) if later.any() else self
+        )
 
 
 @dataclass
@@ -131,7 +149,9 @@ class Trace:
 
     @cached_property
     def _not_zero(self) -> dict[Port, bool]:
-        """Whether anything but 0 was recorded of each port: one pass over all, since most ports of an observer are 0 throughout."""
+        """Whether anything but 0 was recorded of each port: one pass over all, since most ports of
+        an observer are 0 throughout.
+        """
         return dict(zip(self.record, np.any(self.values, axis=0).tolist(), strict=True))
 
     def flag(self, port: Port) -> Array:
@@ -149,11 +169,19 @@ class Trace:
         return np.diff(ends, prepend=0)
 
     def from_first_sample(self, factors: Mapping[Port, float]) -> Trace:
-        """Return it as belongs to a record: row k is what was published after sample k, each column times its factor."""
+        """Return it as belongs to a record: row k is what was published after sample k, each column
+        times its factor.
+        """
         if not self.steps:
             return self
         scales = np.array([factors[port] for port in self.record])
-        return Trace(self.record, self.values[1:] * scales, self.h, self.flags.from_first_sample(), self.failure)
+        return Trace(
+            self.record,
+            self.values[1:] * scales,
+            self.h,
+            self.flags.from_first_sample(),
+            self.failure,
+        )
 
     @property
     def steps(self) -> int:
@@ -172,22 +200,34 @@ class Node:
     def __init__(self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         fmu = slave.fmu
         self.slave = slave
-        self.inputs, self.outputs = (sorted(names, key=lambda name: not fmu.is_real(name)) for names in (inputs, outputs))
+        self.inputs, self.outputs = (
+            sorted(names, key=lambda name: not fmu.is_real(name)) for names in (inputs, outputs)
+        )
         self.numbers = tuple(sum(map(fmu.is_real, names)) for names in (self.inputs, self.outputs))
         self.in_vr = np.array([fmu.reference(name) for name in self.inputs], dtype=np.uint32)
         self.out_vr = np.array([fmu.reference(name) for name in self.outputs], dtype=np.uint32)
-        self.input = np.array([fmu.start(name) / fmu.factor(name) for name in self.inputs], dtype=float)
+        self.input = np.array(
+            [fmu.start(name) / fmu.factor(name) for name in self.inputs], dtype=float
+        )
         self.output = np.zeros(len(self.outputs))
 
     def structure(self) -> Unit:
         """Return what the compiled loop needs to know."""
         three, address = self.slave.fmu.fmi == 3, self.slave.address
         prefix, number = ("fmi3", "Float64") if three else ("fmi2", "Real")
-        names = [f"{prefix}{each}" for each in (f"Set{number}", f"Get{number}", "SetBoolean", "GetBoolean", "DoStep")]
+        names = [
+            f"{prefix}{each}"
+            for each in (f"Set{number}", f"Get{number}", "SetBoolean", "GetBoolean", "DoStep")
+        ]
         arrays = map(pointer, (self.in_vr, self.out_vr, self.input, self.output))
         component = ctypes.cast(self.slave.instance.component, ctypes.c_void_p)
-        flags = [len(whole) - numbers for whole, numbers in zip((self.inputs, self.outputs), self.numbers, strict=True)]
-        return Unit(component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays)
+        flags = [
+            len(whole) - numbers
+            for whole, numbers in zip((self.inputs, self.outputs), self.numbers, strict=True)
+        ]
+        return Unit(
+            component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays
+        )
 
     def place(self, name: str) -> tuple[Array, int]:
         """Return the array that holds a variable, and its index in it."""
@@ -195,14 +235,16 @@ class Node:
             return self.input, self.inputs.index(name)
         return self.output, self.outputs.index(name)
 
-    # -- the same three calls through FMPy ---------------------------------------------------------------------------
+    # -- the same three calls through FMPy ---------------------------------------------------------
 
     def read(self) -> None:
         """Read the outputs."""
         instance, n = self.slave.instance, self.numbers[1]
         vr = self.out_vr.tolist()
         if n:
-            self.output[:n] = (instance.getFloat64 if self.slave.fmu.fmi == 3 else instance.getReal)(vr[:n])
+            self.output[:n] = (
+                instance.getFloat64 if self.slave.fmu.fmi == 3 else instance.getReal
+            )(vr[:n])
         if vr[n:]:
             self.output[n:] = instance.getBoolean(vr[n:])
 
@@ -210,7 +252,9 @@ class Node:
         instance, n = self.slave.instance, self.numbers[0]
         vr, values = self.in_vr.tolist(), self.input.tolist()
         if n:
-            (instance.setFloat64 if self.slave.fmu.fmi == 3 else instance.setReal)(vr[:n], values[:n])
+            (instance.setFloat64 if self.slave.fmu.fmi == 3 else instance.setReal)(
+                vr[:n], values[:n]
+            )
         if vr[n:]:
             instance.setBoolean(vr[n:], [value != 0.0 for value in values[n:]])
 
@@ -228,9 +272,11 @@ class Node:
 
 
 class Slaves:
-    """FMUs that stay loaded from one run to the next, for one thread; a context manager that frees them.
+    """FMUs that stay loaded from one run to the next, for one thread; a context manager that frees
+    them.
 
-    One of ours is reset between two runs, which leaves nothing of the first; what comes from elsewhere, or fails, is loaded anew.
+    One of ours is reset between two runs, which leaves nothing of the first; what comes from
+    elsewhere, or fails, is loaded anew.
     """
 
     def __init__(self) -> None:
@@ -266,16 +312,22 @@ class Slaves:
 
 
 class Session:
-    """A bus with its FMUs loaded and initialised; a context manager. `slaves` keeps them loaded for the next session."""
+    """A bus with its FMUs loaded and initialised; a context manager. `slaves` keeps them loaded for
+    the next session.
+    """
 
-    def __init__(self, bus: Bus, control: NDArray[np.int64] | None = None, slaves: Slaves | None = None) -> None:
+    def __init__(
+        self, bus: Bus, control: NDArray[np.int64] | None = None, slaves: Slaves | None = None
+    ) -> None:
         self.bus, self._slaves = bus, slaves or Slaves()
         self._own, self._taken, self._sound = slaves is None, list[Slave](), False
         self.control = np.zeros(CONTROL_SIZE, dtype=np.int64) if control is None else control
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
             self.values = np.zeros((bus.steps + 1, len(bus.record)))
-            self.averaged = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=bool)
+            self.averaged = np.array(
+                [name in self.nodes[unit].inputs for unit, name in bus.record], dtype=bool
+            )
             self._looks: list[tuple[int, Sequence[float]]] = []
         except BaseException:
             self.close()
@@ -289,12 +341,16 @@ class Session:
         driven = [*(to for _, to in bus.links), *(to for _, to, _ in bus.events), *bus.series]
         read = [*(source for source, _ in bus.links), *bus.record]
         inputs = dict.fromkeys(variable for unit, variable in driven if unit == name)
-        outputs = dict.fromkeys(variable for unit, variable in read if unit == name and variable not in inputs)
+        outputs = dict.fromkeys(
+            variable for unit, variable in read if unit == name and variable not in inputs
+        )
         return Node(slave, list(inputs), list(outputs))
 
     def _look(self, row: int) -> None:
         """Read the flags."""
-        self._looks.append((row, [self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags]))
+        self._looks.append(
+            (row, [self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags])
+        )
 
     def _address(self, port: Port, _lane: int = 0) -> int:
         array, index = self.nodes[port[0]].place(port[1])
@@ -317,10 +373,12 @@ class Session:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # -- compiled ----------------------------------------------------------------------------------------------------
+    # -- compiled ----------------------------------------------------------------------------------
 
     def run(self, progress: Progress | None = None) -> Trace:
-        """Run all steps in the compiled loop, in several calls, so that Python can look after the user between them."""
+        """Run all steps in the compiled loop, in several calls, so that Python can look after the
+        user between them.
+        """
         bus, names = self.bus, list(self.nodes)
         units = (Unit * len(names))(*(node.structure() for node in self.nodes.values()))
         means = self.averaged.astype(np.int64) if self.averaged.any() else None
@@ -343,12 +401,17 @@ class Session:
         fmu = self.nodes[unit].slave.fmu
         return list(self.nodes).index(unit), fmu.reference(name), int(not fmu.is_real(name))
 
-    # -- FMPy's calls ------------------------------------------------------------------------------------------------
+    # -- FMPy's calls ------------------------------------------------------------------------------
 
     def run_fmpy(self, progress: Progress | None = None) -> Trace:
-        """Do the same through FMPy's own calls: the fallback without a compiler, and the check on the compiled loop."""
+        """Do the same through FMPy's own calls: the fallback without a compiler, and the check on
+        the compiled loop.
+        """
         bus, nodes = self.bus, self.nodes
-        places = {port: nodes[port[0]].place(port[1]) for port in (*bus.record, *(p for link in bus.links for p in link))}
+        places = {
+            port: nodes[port[0]].place(port[1])
+            for port in (*bus.record, *(p for link in bus.links for p in link))
+        }
         events, k = list(bus.events), 0
         for node in nodes.values():
             node.read()
@@ -367,7 +430,9 @@ class Session:
                 if failure is not None:
                     return self._trace(k * bus.h, failure)
                 if self.averaged.any():
-                    self.values[k + 1, self.averaged] += self._seen(places)[self.averaged] / bus.split
+                    self.values[k + 1, self.averaged] += (
+                        self._seen(places)[self.averaged] / bus.split
+                    )
             k += 1
             self._write_row(k, places)
             self.control[0] = k
@@ -403,20 +468,27 @@ class Session:
 
     def _seen(self, places: Mapping[Port, tuple[Array, int]]) -> Array:
         """Return what is recorded as it stands, in the units of the bus."""
-        return np.array([places[port][0][places[port][1]] * self._worth(port) for port in self.bus.record], dtype=float)
+        return np.array(
+            [places[port][0][places[port][1]] * self._worth(port) for port in self.bus.record],
+            dtype=float,
+        )
 
     def _write_row(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> None:
         self.values[k, ~self.averaged] = self._seen(places)[~self.averaged]
 
-    # -- the end -----------------------------------------------------------------------------------------------------
+    # -- the end -----------------------------------------------------------------------------------
 
     def _blame(self, unit: str, time: float, why: str) -> Failure:
-        """Return why a unit failed so long after the start: what it said, or the unit that gave it a number which is none."""
+        """Return why a unit failed so long after the start: what it said, or the unit that gave it
+        a number which is none.
+        """
         when = self.bus.start + time
         for (source, name), (to, variable) in self.bus.links:
             array, index = self.nodes[to].place(variable)
             if to == unit and not np.isfinite(array[index]):
-                return Failure(source, when, f"its output {name} is {array[index]}, which {unit} refused")
+                return Failure(
+                    source, when, f"its output {name} is {array[index]}, which {unit} refused"
+                )
         said = self.nodes[unit].slave.last_message()
         return Failure(unit, when, why if said == "no message" else f"{why}: {said}")
 
@@ -433,12 +505,16 @@ class Session:
 
     def _beyond(self, row: int, column: int) -> Failure:
         unit, name = self.bus.record[column]
-        return Failure(unit, float(self.bus.start + row * self.bus.h), f"|{name}| is beyond {HUGE:g}")
+        return Failure(
+            unit, float(self.bus.start + row * self.bus.h), f"|{name}| is beyond {HUGE:g}"
+        )
 
     def _trace(self, time: float, failure: Failure | None = None) -> Trace:
         rows, self._sound = round(time / self.bus.h) + 1, failure is None
         flags = Readings.of(self.bus.flags, self._looks)
-        return Trace(self.bus.record, self.values[:rows], self.bus.h, flags, failure, self.bus.start)
+        return Trace(
+            self.bus.record, self.values[:rows], self.bus.h, flags, failure, self.bus.start
+        )
 
 
 def simulate(
@@ -458,14 +534,20 @@ def simulate(
     progress : callable, optional
         Called with the number of steps done.
     engine : str, optional
-        ``native`` for the compiled loop, ``fmpy`` for FMPy's calls; by default compiled if there is a compiler.
+        ``native`` for the compiled loop, ``fmpy`` for FMPy's calls; by default compiled if there is
+        a compiler.
     control : ndarray of int64, shape (CONTROL_SIZE,), optional
-        Shared memory: [0] counts the steps done, [1] not 0 stops the run, [2] and [3] tell which call is under way.
+        Shared memory: [0] counts the steps done, [1] not 0 stops the run, [2] and [3] tell which
+        call is under way.
     slaves : Slaves, optional
         Loaded FMUs, which are used again and stay loaded.
     """
     with Session(bus, control, slaves) as session:
-        return session.run(progress) if (engine or default_engine()) == "native" else session.run_fmpy(progress)
+        return (
+            session.run(progress)
+            if (engine or default_engine()) == "native"
+            else session.run_fmpy(progress)
+        )
 
 
 def default_engine() -> str:
@@ -484,14 +566,21 @@ class Drive:
         Names, all Real.
     """
 
-    def __init__(self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Sequence[str]) -> None:
+    def __init__(
+        self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Sequence[str]
+    ) -> None:
         self._slave = Slave(fmu, "drive")
         self.control = np.zeros(2, dtype=np.int64)
         try:
             self._node = Node(self._slave, inputs, outputs)
             self._slave.initialise({})
             self._unit = self._node.structure()
-            functions = ("fmi2Reset", "fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2ExitInitializationMode")
+            functions = (
+                "fmi2Reset",
+                "fmi2SetupExperiment",
+                "fmi2EnterInitializationMode",
+                "fmi2ExitInitializationMode",
+            )
             self._lifecycle = Lifecycle(*map(self._slave.address, functions))
             self._vr = np.array([fmu.reference(name) for name in parameters], dtype=np.uint32)
         except BaseException:
@@ -499,21 +588,35 @@ class Drive:
             raise
 
     def run(self, series: Array, sets: Array, h: float) -> Array:
-        """Return the outputs, shape (sets, steps + 1, outputs), for input `series` of shape (steps, inputs).
+        """Return the outputs, shape (sets, steps + 1, outputs), for input `series` of shape (steps,
+        inputs).
 
-        What could not be simulated is NaN. The interpreter lock is released, so threads share the processors.
+        What could not be simulated is NaN. The interpreter lock is released, so threads share the
+        processors.
         """
-        series, sets = np.ascontiguousarray(series, dtype=float), np.ascontiguousarray(sets, dtype=float)
+        series, sets = (
+            np.ascontiguousarray(series, dtype=float),
+            np.ascontiguousarray(sets, dtype=float),
+        )
         if series.shape[1] != len(self._node.inputs) or sets.shape[1] != len(self._vr):
-            raise ValueError(f"got {series.shape[1]} inputs and {sets.shape[1]} parameters, "
-                             f"expected {len(self._node.inputs)} and {len(self._vr)}")  # fmt: skip
+            raise ValueError(
+                f"got {series.shape[1]} inputs and {sets.shape[1]} parameters, "
+                f"expected {len(self._node.inputs)} and {len(self._vr)}"
+            )
         out = np.empty((len(sets), len(series) + 1, len(self._node.outputs)))
         library().loop_drive(
-            ctypes.byref(self._unit), ctypes.byref(self._lifecycle), ctypes.c_longlong(len(series)), ctypes.c_double(h),
-            ctypes.c_void_p(pointer(series)), ctypes.c_longlong(len(sets)), ctypes.c_longlong(len(self._vr)),
-            ctypes.c_void_p(pointer(self._vr)), ctypes.c_void_p(pointer(sets)), ctypes.c_void_p(pointer(out)),
+            ctypes.byref(self._unit),
+            ctypes.byref(self._lifecycle),
+            ctypes.c_longlong(len(series)),
+            ctypes.c_double(h),
+            ctypes.c_void_p(pointer(series)),
+            ctypes.c_longlong(len(sets)),
+            ctypes.c_longlong(len(self._vr)),
+            ctypes.c_void_p(pointer(self._vr)),
+            ctypes.c_void_p(pointer(sets)),
+            ctypes.c_void_p(pointer(out)),
             ctypes.c_void_p(pointer(self.control)),
-        )  # fmt: skip
+        )
         return out
 
     def close(self) -> None:

@@ -32,10 +32,13 @@ BUS_PORTS = {
     },
     "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
 }
-UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m": ("N",)}  # unit of a plant: others it may have
+# unit of a plant: others it may have
+UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m": ("N",)}
 NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
-FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}  # which a stimulus may drive
-SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
+# which a stimulus may drive
+FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}
+# plant outputs: position, velocity
+SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
 WHOLE_PARAMETERS = {  # Real parameters that only take whole values
     "controller": ("seed", "order"),
     "plant": ("input_noise.seed", "encoder.counts"),
@@ -84,7 +87,11 @@ class Setup:
         """Return what is recorded of a unit at every step."""
         fmu = self.fmus[unit]
         known = BUS_PORTS[unit]["outputs"]
-        return tuple((unit, name) for name in fmu.names("output") if fmu.is_real(name) and (unit == "observer" or name in known))
+        return tuple(
+            (unit, name)
+            for name in fmu.names("output")
+            if fmu.is_real(name) and (unit == "observer" or name in known)
+        )
 
 
 def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
@@ -92,13 +99,21 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
     scenario = loaded.scenario
     parts: dict[str, Part | None] = {"observer": scenario.observer}
     if scenario.plant is not None:
-        parts = {"controller": None if scenario.open_loop else scenario.controller, "plant": scenario.plant, **parts}
+        parts = {
+            "controller": None if scenario.open_loop else scenario.controller,
+            "plant": scenario.plant,
+            **parts,
+        }
     found = {}
     for name, part in parts.items():
         if part is None:
             continue
         if part.fmu is None and part.variables:
-            raise loaded.error(f"{name}.variables", None, f"names those of an FMU of your own; give {name}.fmu, or remove it")
+            raise loaded.error(
+                f"{name}.variables",
+                None,
+                f"names those of an FMU of your own; give {name}.fmu, or remove it",
+            )
         if part.fmu is not None:
             found[name] = _foreign(loaded, name, part.fmu, part.variables)
         else:
@@ -107,7 +122,9 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
 
 
 def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there are some from outside."""
+    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there
+    are some from outside.
+    """
     from bristle.fmus.build import is_packaged, obtain, plugins_of
 
     selector = SELECTOR_PARAMETERS.get(name, "")
@@ -121,7 +138,9 @@ def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
         law, method = (choice if selector == option else None for option in ("law", "method"))
         return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
     except BristleError as error:
-        raise loaded.error(f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)) from None
+        raise loaded.error(
+            f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)
+        ) from None
 
 
 def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
@@ -136,24 +155,40 @@ def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mappe
         if not fmu.has(needed, side) or not fmu.is_real(needed):
             have = ", ".join(fmu.names(side)) or "none"
             advice = f'name the one that is meant: [{name}.variables] {needed} = "..."'
-            raise loaded.error(f"{name}.fmu", file, f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}")
+            raise loaded.error(
+                f"{name}.fmu",
+                file,
+                f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}",
+            )
     try:
         for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
             if variable in fmu.variables:
-                fmu.check_si(variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ()))
+                fmu.check_si(
+                    variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())
+                )
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
     return fmu
 
 
 def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
-    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to be."""
+    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to
+    be.
+    """
     where, sides = f"{name}.variables.{key}", BUS_PORTS[name]
     wanted = {**sides["inputs"], **sides["outputs"]}
-    if key not in wanted and not (name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")):
-        raise loaded.error(where, given, f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}")
+    if key not in wanted and not (
+        name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
+    ):
+        raise loaded.error(
+            where,
+            given,
+            f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}",
+        )
     unit = wanted.get(key)
-    units = [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
+    units = (
+        [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
+    )
     try:
         return alias(given, units)
     except BristleError as error:
@@ -174,7 +209,11 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         h = samples.h
         if fmus["observer"].foreign:  # made for who knows which speed: it reads the record as it is
             samples = replace(samples, rig=replace(samples.rig, angle=1.0, voltage=1.0))
-    parts: dict[str, Part | None] = {"plant": scenario.plant, "controller": scenario.controller, "observer": scenario.observer}
+    parts: dict[str, Part | None] = {
+        "plant": scenario.plant,
+        "controller": scenario.controller,
+        "observer": scenario.observer,
+    }
     rig = Rig() if samples is None else samples.rig
     values = {
         name: _period(fmus[name], h) | _values(loaded, name, part, fmus[name], rig)
@@ -213,17 +252,22 @@ def _others(fmu: Fmu, selector: str, choice: str | None) -> set[str]:
 
 @lru_cache(maxsize=64)
 def _own_parameters(fmu: Fmu, selector: str, choice: str | None) -> list[str]:
-    """Return the parameters of an FMU without those of other laws or methods than the one chosen."""
+    """Return the parameters of an FMU without those of other laws or methods than the one
+    chosen.
+    """
     others = _others(fmu, selector, choice)
     return [
         parameter
         for parameter in fmu.names("parameter")
-        if parameter not in (selector, f"{selector}_index") and parameter.partition(".")[0] not in others
+        if parameter not in (selector, f"{selector}_index")
+        and parameter.partition(".")[0] not in others
     ]
 
 
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
-    """Return the start values of a part: its choice of law or method, and the user's parameters, which are in units of the rig."""
+    """Return the start values of a part: its choice of law or method, and the user's parameters,
+    which are in units of the rig.
+    """
     values: dict[str, Value] = {}
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
@@ -233,13 +277,19 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
             from bristle.fmus.build import VARIANT_KIND
 
             known = list(dict.fromkeys([*choices, *offered(VARIANT_KIND[name])]))
-            message = f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
+            message = (
+                f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
+            )
             raise loaded.error(f"{name}.{selector}", choice, message)
         values[selector] = choices[choice]
     own = _own_parameters(fmu, selector, choice)
     for key, given in part.parameters.items():
         if choice is not None and key == f"{selector}_index":
-            raise loaded.error(f"{name}.parameters.{key}", given, f"the scenario chooses by {name}.{selector}; remove it")
+            raise loaded.error(
+                f"{name}.parameters.{key}",
+                given,
+                f"the scenario chooses by {name}.{selector}; remove it",
+            )
         try:
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
@@ -248,7 +298,11 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
             raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
         owner = key.partition(".")[0]
         if owner != key and owner in _others(fmu, selector, choice):
-            raise loaded.error(f"{name}.parameters.{key}", given, f"belongs to {selector} '{owner}', this is '{choice}'; remove it")
+            raise loaded.error(
+                f"{name}.parameters.{key}",
+                given,
+                f"belongs to {selector} '{owner}', this is '{choice}'; remove it",
+            )
     return values
 
 
@@ -258,9 +312,15 @@ def _check_sensors(setup: Setup) -> None:
         choice = getattr(scenario, key)
         for output in SENSOR_OUTPUTS[choice]:
             if not plant.has(output, "output"):
-                raise setup.loaded.error(key, choice, f"the plant has no output '{output}'; write {key} = \"clean\"")
+                raise setup.loaded.error(
+                    key, choice, f"the plant has no output '{output}'; write {key} = \"clean\""
+                )
     if not any(setup.fmus["observer"].has(name, "input") for name in ("y_theta", "y_v")):
-        raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
+        raise setup.loaded.error(
+            "observer.fmu",
+            str(setup.fmus["observer"].path),
+            "has neither input y_theta nor y_v; add one",
+        )
 
 
 def _check_compensation(setup: Setup) -> None:
@@ -273,18 +333,28 @@ def _check_compensation(setup: Setup) -> None:
         units = setup.fmus["observer"].unit(given), setup.fmus["controller"].unit(taken)
         if units[0] != units[1]:
             message = (
-                f"output {given} of the observer is in {units[0]}, the controller takes {taken} in {units[1]}; make them equal"
+                f"output {given} of the observer is in {units[0]}, the controller takes {taken} in"
+                f" {units[1]}; make them equal"
             )
             raise setup.loaded.error("controller.compensation", wanted, message)
     if not links:
-        message = "the controller has no input P_hat for an output P_hat of the observer; give its FMU such inputs, or write none"
+        message = (
+            "the controller has no input P_hat for an output P_hat of the observer; give its FMU"
+            " such inputs, or write none"
+        )
         raise setup.loaded.error("controller.compensation", wanted, message)
     if wanted == "adapted" and not setup.fmus["observer"].has(wanted, "output"):
-        raise setup.loaded.error("controller.compensation", wanted, "the observer has no output 'adapted'; write \"valid\"")
+        raise setup.loaded.error(
+            "controller.compensation",
+            wanted,
+            "the observer has no output 'adapted'; write \"valid\"",
+        )
 
 
 def _compensation_links(setup: Setup) -> list[tuple[Port, Port]]:
-    """Return the links that lead estimates to the inputs of the controller with the same names, and to P_valid what counts."""
+    """Return the links that lead estimates to the inputs of the controller with the same names, and
+    to P_valid what counts.
+    """
     observer, controller = setup.fmus["observer"], setup.fmus["controller"]
     wanted, links = setup.scenario.controller.compensation, []
     for hat in observer.names("output"):
@@ -306,16 +376,22 @@ def _encoder_step(setup: Setup) -> float | None:
 
 
 def _tell_resolution(setup: Setup, step: float | None) -> None:
-    """Give the observer the step of the position sensor, where it asks for one and the user has not said otherwise.
+    """Give the observer the step of the position sensor, where it asks for one and the user has not
+    said otherwise.
 
-    A method that reads a velocity is told the standard deviation of a difference of two rounded positions.
-    Source: widrow2008 chapter 1.
+    A method that reads a velocity is told the standard deviation of a difference of two rounded
+    positions. Source: widrow2008 chapter 1.
     """
     if step is None:
         return
     observer, method = setup.fmus["observer"], getattr(setup.scenario.observer, "method", None)
-    for name, value in {f"{method}.resolution": step, f"{method}.noise": step / setup.h / math.sqrt(6.0)}.items():
-        if observer.has(name, "parameter") and (name.endswith("resolution") or observer.unit(name) == "rad/s"):
+    for name, value in {
+        f"{method}.resolution": step,
+        f"{method}.noise": step / setup.h / math.sqrt(6.0),
+    }.items():
+        if observer.has(name, "parameter") and (
+            name.endswith("resolution") or observer.unit(name) == "rad/s"
+        ):
             told = min(value * setup.rig.worth(observer.unit(name)), observer.interval(name)[1])
             setup.values["observer"].setdefault(name, told)
 
@@ -337,17 +413,27 @@ def _plant_flags(plant: Fmu) -> tuple[Port, ...]:
 def identification(setup: Setup) -> Bus:
     """Return the bus on which the observer runs: with plant and controller, or on a record."""
     observer = setup.fmus["observer"]
-    said = [name for name in observer.names("output") if name.endswith("_valid") or name == "adapted"]
+    said = [
+        name for name in observer.names("output") if name.endswith("_valid") or name == "adapted"
+    ]
     flags = tuple(("observer", name) for name in said if not observer.is_real(name))
     if setup.samples is not None:
         samples, units = setup.samples, BUS_PORTS["observer"]["inputs"]
         columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
-        read = {name: values * setup.rig.worth(units[name]) for name, values in columns.items() if observer.has(name, "input")}
+        read = {
+            name: values * setup.rig.worth(units[name])
+            for name, values in columns.items()
+            if observer.has(name, "input")
+        }
         return Bus(
-            _instances(setup, ("observer",)), setup.steps, setup.h,
+            _instances(setup, ("observer",)),
+            setup.steps,
+            setup.h,
             series={("observer", name): values for name, values in read.items()},
-            record=setup.ports("observer"), flags=flags, watch=("observer",),
-        )  # fmt: skip
+            record=setup.ports("observer"),
+            flags=flags,
+            watch=("observer",),
+        )
     driven = [] if setup.scenario.open_loop else ["controller"]
     links = [*_loop_links(setup), (("controller", "u"), ("observer", "u"))] if driven else []
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
@@ -356,35 +442,64 @@ def identification(setup: Setup) -> Bus:
     if setup.scenario.controller.compensation != "none":
         links += _compensation_links(setup)
     return Bus(
-        _instances(setup, (*driven, "plant", "observer")), setup.steps, setup.h,
-        links=tuple(links), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
+        _instances(setup, (*driven, "plant", "observer")),
+        setup.steps,
+        setup.h,
+        links=tuple(links),
+        events=events(setup.stimuli),
+        series=series(setup.stimuli, setup.steps, setup.h),
         record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
-        flags=_plant_flags(setup.fmus["plant"]) + flags, watch=("observer",),
-    )  # fmt: skip
+        flags=_plant_flags(setup.fmus["plant"]) + flags,
+        watch=("observer",),
+    )
 
 
 def uncompensated(setup: Setup) -> Bus:
-    """Return the bus of the same run with the controller alone: nothing of the observer reaches it."""
+    """Return the bus of the same run with the controller alone: nothing of the observer reaches
+    it.
+    """
     return Bus(
-        _instances(setup, ("controller", "plant")), setup.steps, setup.h,
-        links=tuple(_loop_links(setup)), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
+        _instances(setup, ("controller", "plant")),
+        setup.steps,
+        setup.h,
+        links=tuple(_loop_links(setup)),
+        events=events(setup.stimuli),
+        series=series(setup.stimuli, setup.steps, setup.h),
         record=setup.ports("controller") + setup.ports("plant"),
-    )  # fmt: skip
+    )
 
 
 def validation(setup: Setup) -> Bus:
-    """Return the bus of the second record: the same plant and controller, another seed, from rest, the last loads held."""
+    """Return the bus of the second record: the same plant and controller, another seed, from rest,
+    the last loads held.
+    """
     demand = setup.scenario.validation
     assert demand is not None
     if not setup.fmus["controller"].has("seed", "parameter"):
-        raise setup.loaded.error("validation.seed", demand.seed, "the controller FMU has no parameter 'seed'; remove [validation]")
-    if demand.seed == setup.values["controller"].get("seed", setup.fmus["controller"].start("seed")):
-        raise setup.loaded.error("validation.seed", demand.seed, "is the seed of the identification record; choose another one")
+        raise setup.loaded.error(
+            "validation.seed",
+            demand.seed,
+            "the controller FMU has no parameter 'seed'; remove [validation]",
+        )
+    if demand.seed == setup.values["controller"].get(
+        "seed", setup.fmus["controller"].start("seed")
+    ):
+        raise setup.loaded.error(
+            "validation.seed",
+            demand.seed,
+            "is the seed of the identification record; choose another one",
+        )
     loads = [stimulus.settled() for stimulus in setup.stimuli if stimulus.unit == "plant"]
     steps = round(demand.duration / setup.h)
-    controller = Instance("controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed})
+    controller = Instance(
+        "controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed}
+    )
     return Bus(
-        (controller, *_instances(setup, ("plant",))), steps, setup.h,
-        links=tuple(_loop_links(setup)), events=events(loads), series=series(loads, steps, setup.h),
+        (controller, *_instances(setup, ("plant",))),
+        steps,
+        setup.h,
+        links=tuple(_loop_links(setup)),
+        events=events(loads),
+        series=series(loads, steps, setup.h),
         record=setup.ports("controller") + setup.ports("plant"),
-    )  # fmt: skip
+    )

@@ -1,7 +1,8 @@
-"""Scenario files as pytest items: `pytest scenarios/` runs each file, and a failure shows its verdict table.
+"""Scenario files as pytest items: `pytest scenarios/` runs each file, and a failure shows its
+verdict table.
 
-Installed as the plugin `bristle` (leave it out with ``-p no:bristle``). Items do not share anything but the cache of FMUs, so that
-they can be run by pytest-xdist.
+Installed as the plugin `bristle` (leave it out with ``-p no:bristle``). Items do not share anything
+but the cache of FMUs, so that they can be run by pytest-xdist.
 """
 
 from __future__ import annotations
@@ -28,11 +29,18 @@ class ScenarioError(BristleError):
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the folder of the results."""
     group = parser.getgroup("bristle", "scenarios of bristle")
-    group.addoption(OUT_OPTION, metavar="FOLDER", default=None, help="folder for the results of scenarios; else a temporary one")
+    group.addoption(
+        OUT_OPTION,
+        metavar="FOLDER",
+        default=None,
+        help="folder for the results of scenarios; else a temporary one",
+    )
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    """Take scenario files: .toml with a table [observer], and what is no TOML, of which nobody can say that it is none."""
+    """Take scenario files: .toml with a table [observer], and what is no TOML, of which nobody can
+    say that it is none.
+    """
     if file_path.suffix != ".toml":
         return None
     from bristle.harness.catalogue import is_scenario
@@ -43,7 +51,8 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
     return file
 
 
-@pytest.hookimpl(tryfirst=True)  # before any is left out, so that the folders do not depend on which
+# before any is left out, so that the folders do not depend on which
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: Sequence[pytest.Item]) -> None:
     """Give scenarios of one name a result folder each."""
     scenarios = [item for item in items if isinstance(item, ScenarioItem)]
@@ -54,7 +63,9 @@ def pytest_collection_modifyitems(items: Sequence[pytest.Item]) -> None:
 
 
 def _below(folder: Path, root: Path) -> Path:
-    """Return a folder relative to the root; one that lies elsewhere, relative to that of the file system."""
+    """Return a folder relative to the root; one that lies elsewhere, relative to that of the file
+    system.
+    """
     return folder.relative_to(root if folder.is_relative_to(root) else folder.anchor)
 
 
@@ -94,7 +105,11 @@ class ScenarioItem(pytest.Item):
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Return the verdict table; of any other exception what pytest shows."""
-        return str(excinfo.value) if isinstance(excinfo.value, ScenarioError) else super().repr_failure(excinfo, style)
+        return (
+            str(excinfo.value)
+            if isinstance(excinfo.value, ScenarioError)
+            else super().repr_failure(excinfo, style)
+        )
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Return where the item is."""
@@ -108,8 +123,17 @@ def verdict_table(tested: CaseResult) -> str:
 
     lines = [tested.message] if tested.message else []
     rows = [
-        (c["name"], shown(c["value"]), f"{SIGNS[c['kind']]} {c['limit']:g}", "pass" if c["pass"] else "FAIL") for c in tested.checks
+        (
+            c["name"],
+            shown(c["value"]),
+            f"{SIGNS[c['kind']]} {c['limit']:g}",
+            "pass" if c["pass"] else "FAIL",
+        )
+        for c in tested.checks
     ]
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(4)]
-    lines += ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines += [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
     return "\n".join(lines)

@@ -1,4 +1,6 @@
-"""A scenario run again as another machine would: start values rounded otherwise, other compilers, other internal steps."""
+"""A scenario run again as another machine would: start values rounded otherwise, other compilers,
+other internal steps.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from bristle.common.errors import BristleError
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.isolate import run_bus
 from bristle.harness.loop import Bus
-from bristle.harness.plan import SELECTOR_PARAMETERS, WHOLE_PARAMETERS, Setup, identification, prepare
+from bristle.harness.plan import (
+    SELECTOR_PARAMETERS,
+    WHOLE_PARAMETERS,
+    Setup,
+    identification,
+    prepare,
+)
 from bristle.harness.run import View, measured
 from bristle.model.compiler import Toolchain, compiled_with, find_compiler, known_compilers
 
@@ -27,8 +35,10 @@ Array = NDArray[np.float64]
 ROUNDED_RUNS = 8  # runs in which start values are moved by one unit in the last place
 STEP_FACTORS = (0.5, 2.0)  # of the tolerances and steps of the plant's integrator
 STEP_PARAMETERS = ("solver.tolerance", "solver.friction_step")
-UNMOVED = ("sample_time", "solver.")  # beginnings of names that are not moved: what they change is no rounding
-REORDERED = ("-funsafe-math-optimizations",)  # flag with which a compiler may reorder sums and multiply by reciprocals
+# beginnings of names that are not moved: what they change is no rounding
+UNMOVED = ("sample_time", "solver.")
+# flag with which a compiler may reorder sums and multiply by reciprocals
+REORDERED = ("-funsafe-math-optimizations",)
 CPU_FLAGS = Path("/proc/cpuinfo")
 
 
@@ -50,8 +60,15 @@ class Repeat:
 
 def repeats(setup: Setup) -> list[Repeat]:
     """Return all ways to run a scenario again that this machine has."""
-    rounded = [Repeat(f"start values rounded otherwise, {k}", partial(run_rounded, setup, k)) for k in range(1, ROUNDED_RUNS + 1)]
-    built = [Repeat(each.name, partial(run_built, setup, each)) for each in toolchains()] if _compiled(setup) else []
+    rounded = [
+        Repeat(f"start values rounded otherwise, {k}", partial(run_rounded, setup, k))
+        for k in range(1, ROUNDED_RUNS + 1)
+    ]
+    built = (
+        [Repeat(each.name, partial(run_built, setup, each)) for each in toolchains()]
+        if _compiled(setup)
+        else []
+    )
     return [*rounded, *built, *_other_steps(setup)]
 
 
@@ -66,27 +83,39 @@ def run_again(setup: Setup, bus: Bus | None = None) -> Repeated:
     trace = run_bus(bus or identification(setup), timeout=setup.timeout)
     if trace.failure is not None:
         failure = trace.failure
-        raise BristleError(f"{setup.loaded.path}: the run ends at {failure.time:g} s: {failure.unit}: {failure.message}")
+        raise BristleError(
+            f"{setup.loaded.path}: the run ends at {failure.time:g} s: {failure.unit}:"
+            f" {failure.message}"
+        )
     view = View(setup, trace)
     return Repeated(view.columns(), measured(setup, trace, view))
 
 
-# -- rounding --------------------------------------------------------------------------------------------------------
+# -- rounding --------------------------------------------------------------------------------------
 
 
 def run_rounded(setup: Setup, seed: int) -> Repeated:
-    """Run with all start values, and the samples of a record, one unit in the last place up or down, as `seed` chooses."""
+    """Run with all start values, and the samples of a record, one unit in the last place up or
+    down, as `seed` chooses.
+    """
     random = np.random.default_rng(seed)
-    values = {unit: {**given, **_moved(setup, unit, random)} for unit, given in setup.values.items()}
+    values = {
+        unit: {**given, **_moved(setup, unit, random)} for unit, given in setup.values.items()
+    }
     bus = identification(replace(setup, values=values))
     if setup.samples is not None:
-        series = {port: np.nextafter(x, random.choice([-np.inf, np.inf], len(x))) for port, x in bus.series.items()}
+        series = {
+            port: np.nextafter(x, random.choice([-np.inf, np.inf], len(x)))
+            for port, x in bus.series.items()
+        }
         bus = replace(bus, series=series)
     return run_again(setup, bus)
 
 
 def _moved(setup: Setup, unit: str, random: np.random.Generator) -> dict[str, Value]:
-    """Return the start values of a unit that are not 0, moved by one unit in the last place where their interval has room."""
+    """Return the start values of a unit that are not 0, moved by one unit in the last place where
+    their interval has room.
+    """
     fmu, given = setup.fmus[unit], setup.values[unit]
     found: dict[str, Value] = {}
     for name in fmu.names("parameter"):
@@ -101,16 +130,25 @@ def _moved(setup: Setup, unit: str, random: np.random.Generator) -> dict[str, Va
 
 
 def _is_moved(setup: Setup, unit: str, name: str) -> bool:
-    """Say whether a parameter is a number that the chosen law, its effects or the chosen method read."""
+    """Say whether a parameter is a number that the chosen law, its effects or the chosen method
+    read.
+    """
     fmu, whole = setup.fmus[unit], WHOLE_PARAMETERS.get(unit, ())
-    if not fmu.is_real(name) or name in whole or name.startswith(UNMOVED) or fmu.variables[name].start is None:
+    if (
+        not fmu.is_real(name)
+        or name in whole
+        or name.startswith(UNMOVED)
+        or fmu.variables[name].start is None
+    ):
         return False
     part = getattr(setup.scenario, unit)
-    others = set(fmu.choices(SELECTOR_PARAMETERS.get(unit, ""))) - {getattr(part, SELECTOR_PARAMETERS.get(unit, ""), None)}
+    others = set(fmu.choices(SELECTOR_PARAMETERS.get(unit, ""))) - {
+        getattr(part, SELECTOR_PARAMETERS.get(unit, ""), None)
+    }
     return name.partition(".")[0] not in others
 
 
-# -- compilers -------------------------------------------------------------------------------------------------------
+# -- compilers -------------------------------------------------------------------------------------
 
 
 def _compiled(setup: Setup) -> bool:
@@ -119,10 +157,15 @@ def _compiled(setup: Setup) -> bool:
 
 
 def toolchains() -> list[Toolchain]:
-    """Return other flags for the machine's compiler, and the other compilers that it has, with and without these flags."""
+    """Return other flags for the machine's compiler, and the other compilers that it has, with and
+    without these flags.
+    """
     default = find_compiler()
     same = os.path.realpath(shutil.which(default[0]) or default[0])
-    found = [Toolchain("without optimisation", default, ("-O0",)), *_rounding_otherwise("", default)]
+    found = [
+        Toolchain("without optimisation", default, ("-O0",)),
+        *_rounding_otherwise("", default),
+    ]
     for name, command in known_compilers().items():
         if command != default and os.path.realpath(command[0]) != same:
             found += [Toolchain(name, command), *_rounding_otherwise(f"{name}, ", command)]
@@ -130,7 +173,9 @@ def toolchains() -> list[Toolchain]:
 
 
 def _rounding_otherwise(name: str, command: tuple[str, ...]) -> list[Toolchain]:
-    """Return toolchains that keep the equations and round otherwise: sums in another order, products fused with sums."""
+    """Return toolchains that keep the equations and round otherwise: sums in another order,
+    products fused with sums.
+    """
     found = [Toolchain(f"{name}sums in another order", command, REORDERED)]
     if flags := fused_flags():
         found.append(Toolchain(f"{name}fused multiplication and addition", command, flags))
@@ -138,7 +183,9 @@ def _rounding_otherwise(name: str, command: tuple[str, ...]) -> list[Toolchain]:
 
 
 def fused_flags() -> tuple[str, ...]:
-    """Return the flags that fuse multiplications and additions, none if the processor cannot or is not known to."""
+    """Return the flags that fuse multiplications and additions, none if the processor cannot or is
+    not known to.
+    """
     if platform.machine().lower() in ("aarch64", "arm64"):
         return ("-ffp-contract=fast",)
     known = CPU_FLAGS.exists() and " fma " in CPU_FLAGS.read_text(encoding="utf-8")
@@ -146,7 +193,9 @@ def fused_flags() -> tuple[str, ...]:
 
 
 def run_built(setup: Setup, toolchain: Toolchain) -> Repeated:
-    """Run with FMUs that a toolchain compiles, each of the chosen law or method alone: the same equations, sooner compiled."""
+    """Run with FMUs that a toolchain compiles, each of the chosen law or method alone: the same
+    equations, sooner compiled.
+    """
     return run_again(built(setup, toolchain))
 
 
@@ -159,13 +208,17 @@ def built(setup: Setup, toolchain: Toolchain) -> Setup:
         for unit, fmu in setup.fmus.items():
             if not fmu.risky:
                 part = getattr(setup.scenario, unit)
-                choice = {key: getattr(part, key) for key in (SELECTOR_PARAMETERS.get(unit),) if key is not None}
+                choice = {
+                    key: getattr(part, key)
+                    for key in (SELECTOR_PARAMETERS.get(unit),)
+                    if key is not None
+                }
                 effects = {"effects": part.effects} if unit == "plant" else {}
                 fmus[unit] = Fmu(obtain(unit, fmi=fmu.fmi, **choice, **effects))
     return replace(prepare(setup.loaded, fmus), timeout=setup.timeout)
 
 
-# -- internal steps --------------------------------------------------------------------------------------------------
+# -- internal steps --------------------------------------------------------------------------------
 
 
 def _other_steps(setup: Setup) -> list[Repeat]:
@@ -176,9 +229,16 @@ def _other_steps(setup: Setup) -> list[Repeat]:
         return []
     found = []
     for factor in STEP_FACTORS:
-        steps = {name: float(np.clip(factor * _given(setup, name), *plant.interval(name))) for name in known}
+        steps = {
+            name: float(np.clip(factor * _given(setup, name), *plant.interval(name)))
+            for name in known
+        }
         other = replace(setup, values={**setup.values, "plant": {**setup.values["plant"], **steps}})
-        found.append(Repeat(f"internal steps and their tolerance times {factor:g}", partial(run_again, other)))
+        found.append(
+            Repeat(
+                f"internal steps and their tolerance times {factor:g}", partial(run_again, other)
+            )
+        )
     return found
 
 

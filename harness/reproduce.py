@@ -1,6 +1,8 @@
-"""The paper's Figures 1 and 3 to 6 and the numbers of its section IV: as printed, as repaired, by the best observer.
+"""The paper's Figures 1 and 3 to 6 and the numbers of its section IV: as printed, as repaired, by
+the best observer.
 
-Everything comes from scenario files that are shipped (`scenarios/reproduce`), run as `bristle run` runs them.
+Everything comes from scenario files that are shipped (`scenarios/reproduce`), run as `bristle run`
+runs them.
 """
 
 from __future__ import annotations
@@ -36,26 +38,47 @@ Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]  # what is done now, share that is done
 
 SCHEMES = {"printed": "as printed", "repaired": "as repaired", "best": "best observer"}
-LETTERS = {scheme: f"({letter}) {title}" for letter, (scheme, title) in zip("abc", SCHEMES.items(), strict=True)}
+LETTERS = {
+    scheme: f"({letter}) {title}"
+    for letter, (scheme, title) in zip("abc", SCHEMES.items(), strict=True)
+}
 TEST_PLANTS = {"S": "", "L0": "_lugre"}  # set: suffix of the scenario files
-FILTER_ORDERS = (1, 2)  # sections of the low-pass that makes the reference: the paper leaves open how many
+# sections of the low-pass that makes the reference: the paper leaves open how many
+FILTER_ORDERS = (1, 2)
 BASELINE_SCHEME = "repaired"  # whose scenarios fit the baselines: all schemes have the same records
-GAINS = {"vc": ("vc",), "c1": ("c1",), "gamma": ("gamma1", "gamma2", "gamma3"), "k0": ("k1", "k2"), "lambda": ("lam",)}
+GAINS = {
+    "vc": ("vc",),
+    "c1": ("c1",),
+    "gamma": ("gamma1", "gamma2", "gamma3"),
+    "k0": ("k1", "k2"),
+    "lambda": ("lam",),
+}
 STEP1_ESTIMATES = ("alpha2", "b", "Fc")
 HEURISTIC = "vc_heuristic"  # the scenario of section IV-B
-COMPARED = ("printed", "repaired", "best", "linear", "coulomb", "floor")  # columns of the table of eq. (25)
+# columns of the table of eq. (25)
+COMPARED = ("printed", "repaired", "best", "linear", "coulomb", "floor")
 
-CURVE_SPEED = math.radians(120.0)  # rad/s: speed from which a plant coasts down for its friction curve
+# rad/s: speed from which a plant coasts down for its friction curve
+CURVE_SPEED = math.radians(120.0)
 PUSH, PUSH_RATE = 0.2, 40.0  # s and rad/s2: how it is brought there, at most
-STIFFER = 1e3  # factor on stiffness and 1/distance: the level stays, and friction follows it a thousand times sooner
+# factor on stiffness and 1/distance: the level stays, and friction follows it a thousand times
+# sooner
+STIFFER = 1e3
 SLOWEST = math.radians(1.0)  # rad/s: below, a curve is not drawn
 
-REPRODUCE_FILES = ("reproduce.json", "report.html", *(f"figure_{n}.svg" for n in (1, 3, 4, 5, 6)), "eq25.svg")
+REPRODUCE_FILES = (
+    "reproduce.json",
+    "report.html",
+    *(f"figure_{n}.svg" for n in (1, 3, 4, 5, 6)),
+    "eq25.svg",
+)
 
 
 @dataclass(frozen=True)
 class Remark:
-    """What has to be known of a score: step1 (only its estimates are scored), invalid (so the observer says), none (no score)."""
+    """What has to be known of a score: step1 (only its estimates are scored), invalid (so the
+    observer says), none (no score).
+    """
 
     kind: str
     text: str
@@ -108,7 +131,8 @@ class Comparison:
     """Everything on the page."""
 
     cases: dict[Key, Case]
-    curves: dict[str, tuple[Array, Array]]  # velocity and level of friction over inertia of L0: the plant's and the schemes'
+    # velocity and level of friction over inertia of L0: the plant's and the schemes'
+    curves: dict[str, tuple[Array, Array]]
     content: dict[str, Any]  # reproduce.json
     share: float = 1.0
 
@@ -147,7 +171,10 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
     with output_folder(out):
         check_no_folder(out, REPRODUCE_FILES)
         found = compute(say, share)
-        found.content["provenance"] = {**provenance(), "command": shlex.join(["bristle", "reproduce", "--out", str(out)])}
+        found.content["provenance"] = {
+            **provenance(),
+            "command": shlex.join(["bristle", "reproduce", "--out", str(out)]),
+        }
         found.content["wall_s"] = round(time.perf_counter() - begin, 2)
         say("report", 0.97)
         figures = draw(found)
@@ -160,8 +187,14 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
 
 def compute(say: Tell, share: float = 1.0) -> Comparison:
     """Run all scenarios and return what the page shows."""
-    schemes = sorted(SCHEMES, key=lambda scheme: scheme != BASELINE_SCHEME)  # it comes first: all are scored on its second record
-    wanted = [Key(scheme, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS for scheme in schemes]
+    # it comes first: all are scored on its second record
+    schemes = sorted(SCHEMES, key=lambda scheme: scheme != BASELINE_SCHEME)
+    wanted = [
+        Key(scheme, plant, order)
+        for plant in TEST_PLANTS
+        for order in FILTER_ORDERS
+        for scheme in schemes
+    ]
     cases: dict[Key, Case] = {}
     for k, key in enumerate(wanted):
 
@@ -176,10 +209,12 @@ def compute(say: Tell, share: float = 1.0) -> Comparison:
     return Comparison(cases, curves, _content(cases, heuristic, share), share)
 
 
-# -- runs ------------------------------------------------------------------------------------------------------------
+# -- runs ------------------------------------------------------------------------------------------
 
 
-def _run(path: Path, overrides: Sequence[str], say: Callable[[str], None] = lambda text: None) -> tuple[Checked, Outcome]:
+def _run(
+    path: Path, overrides: Sequence[str], say: Callable[[str], None] = lambda text: None
+) -> tuple[Checked, Outcome]:
     """Run a scenario as `bristle run` does, without its files."""
 
     def stage(name: str, _done: int, _total: int) -> None:
@@ -212,7 +247,9 @@ def _shortened(path: Path, share: float) -> list[str]:
 def _case(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> Case:
     path, order = scenario_path(key.scheme, key.plant), key.order
     own = [] if order == FILTER_ORDERS[0] else [f"controller.parameters.order={order}"]
-    checked, found = _run(path, [*own, *_shortened(path, share)], lambda text: say(f"order {order}, {text}"))
+    checked, found = _run(
+        path, [*own, *_shortened(path, share)], lambda text: say(f"order {order}, {text}")
+    )
     setup, view, validated = checked.setup, found.view, found.validated
     if second is None and validated is not None:
         second = Data(validated.voltage, validated.measured, setup.h)
@@ -221,40 +258,75 @@ def _case(key: Key, share: float, say: Callable[[str], None], second: Data | Non
     seconds: Array = np.asarray(np.arange(len(measured)) * setup.h)
     shown = _inside(seconds, "validation_window", share)
     prediction = _predicted(checked, found, second)
-    predictions = {} if validated is None else {name: values[shown] for name, values in validated.predictions.items()}
+    predictions = (
+        {}
+        if validated is None
+        else {name: values[shown] for name, values in validated.predictions.items()}
+    )
     if prediction.velocity is not None:
         predictions["model"] = prediction.velocity[shown]
     published = {name: course.hat for name, course in view.published.items()}
     return Case(
-        key, found.result, path, str(setup.scenario.observer.method), setup.values["plant"],
+        key,
+        found.result,
+        path,
+        str(setup.scenario.observer.method),
+        setup.values["plant"],
         _parameter(setup, "step2_start") or 0.0,
-        view.time[kept], {name: hat[kept] for name, hat in published.items()},
+        view.time[kept],
+        {name: hat[kept] for name, hat in published.items()},
         {name: float(hat[-1]) for name, hat in published.items()},
-        view.time[window], view.signals["reference"][window],
-        second, seconds[shown], measured[shown], predictions, replace(prediction, velocity=None),
+        view.time[window],
+        view.signals["reference"][window],
+        second,
+        seconds[shown],
+        measured[shown],
+        predictions,
+        replace(prediction, velocity=None),
         {name: _all_parameters(setup, parameters) for name, parameters in GAINS.items()},
-    )  # fmt: skip
+    )
 
 
 def _predicted(checked: Checked, found: Outcome, second: Data | None) -> Prediction:
-    """Score what an observer published last, as the paper does, whether the observer itself trusts it or not.
+    """Score what an observer published last, as the paper does, whether the observer itself trusts
+    it or not.
 
-    Where these numbers make no model that can be simulated, what step 1 found (alpha2, b, Fc) is scored alone.
+    Where these numbers make no model that can be simulated, what step 1 found (alpha2, b, Fc) is
+    scored alone.
     """
-    setup, estimates, failed = checked.setup, found.result["estimates"], found.result.get("diverged")
-    last = {name: {"valid": True, "final": float(course.hat[-1])} for name, course in found.view.published.items()}
+    setup, estimates, failed = (
+        checked.setup,
+        found.result["estimates"],
+        found.result.get("diverged"),
+    )
+    last = {
+        name: {"valid": True, "final": float(course.hat[-1])}
+        for name, course in found.view.published.items()
+    }
     known = given_parameters(setup, setup.values["observer"])
     model, remark = identified_model(last, known, checked.lean), None
     if failed is not None or model.problem is not None:
-        why = model.problem if failed is None else f"diverged at {failed['time_s']:.4g} s: {failed['message']}"
+        why = (
+            model.problem
+            if failed is None
+            else f"diverged at {failed['time_s']:.4g} s: {failed['message']}"
+        )
         remark = Remark("step1", str(why))
-        model = identified_model({name: last[name] for name in STEP1_ESTIMATES if name in last}, known, checked.lean)
-    elif not all(estimates.get(name, {}).get("valid") for name in MODEL_PARAMETERS[str(model.law)].values() if name in last):
+        model = identified_model(
+            {name: last[name] for name in STEP1_ESTIMATES if name in last}, known, checked.lean
+        )
+    elif not all(
+        estimates.get(name, {}).get("valid")
+        for name in MODEL_PARAMETERS[str(model.law)].values()
+        if name in last
+    ):
         remark = Remark("invalid", "the observer calls these estimates not valid")
     if model.law is None or model.problem is not None or second is None:
         return Prediction(remark=Remark("none", str(model.problem or "there is no second record")))
     mse, velocity = score(second, model, checked.lean)
-    return Prediction(model.law, model.parameters, mse if math.isfinite(mse) else None, velocity, remark)
+    return Prediction(
+        model.law, model.parameters, mse if math.isfinite(mse) else None, velocity, remark
+    )
 
 
 def _inside(times: Array, key: str, share: float) -> NDArray[np.intp]:
@@ -276,7 +348,7 @@ def _all_parameters(setup: Setup, names: Sequence[str]) -> list[float] | None:
     return found if len(found) == len(names) else None
 
 
-# -- Figure 1 --------------------------------------------------------------------------------------------------------
+# -- Figure 1 --------------------------------------------------------------------------------------
 
 
 def _curves(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
@@ -284,7 +356,10 @@ def _curves(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
     first = FILTER_ORDERS[0]
     lugre = cases[Key(BASELINE_SCHEME, "L0", first)].values
     inertia = float(lugre["J"])
-    stiff = {"lugre.sigma0": STIFFER * float(lugre["lugre.sigma0"]) / inertia, "lugre.vs": float(lugre["lugre.vs"])}
+    stiff = {
+        "lugre.sigma0": STIFFER * float(lugre["lugre.sigma0"]) / inertia,
+        "lugre.vs": float(lugre["lugre.vs"]),
+    }
     stiff |= {name: float(lugre[name]) / inertia for name in ("lugre.Fc", "lugre.Fs")}
     curves = {"plant": friction_curve("lugre", stiff)}
     for scheme in SCHEMES:
@@ -295,12 +370,19 @@ def _curves(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
 
 
 def stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return the friction of an identified model with a presliding distance that is next to nothing.
+    """Return the friction of an identified model with a presliding distance that is next to
+    nothing.
 
     Source: dixit2008 eq. (18): the level depends on sigma_i / c alone.
     """
-    own = {name: value for name, value in parameters.items() if name.startswith("modified.") and name != "modified.tau"}
-    return {name: value if name == "modified.width" else STIFFER * value for name, value in own.items()}
+    own = {
+        name: value
+        for name, value in parameters.items()
+        if name.startswith("modified.") and name != "modified.tau"
+    }
+    return {
+        name: value if name == "modified.width" else STIFFER * value for name, value in own.items()
+    }
 
 
 def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Array]:
@@ -336,13 +418,18 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
     return v[:end], level[:end]
 
 
-# -- numbers ---------------------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------------------
 
 
 def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[str, Any]:
     """Return reproduce.json."""
     first = FILTER_ORDERS[0]
-    order_shown = [Key(scheme, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS for scheme in SCHEMES]
+    order_shown = [
+        Key(scheme, plant, order)
+        for plant in TEST_PLANTS
+        for order in FILTER_ORDERS
+        for scheme in SCHEMES
+    ]
     runs = [_run_entry(cases[key]) for key in order_shown]
     judged = [case.result for key, case in cases.items() if key.order == first]
     content: dict[str, Any] = {
@@ -351,16 +438,20 @@ def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[
         "share": share,
         "printed": {key: _printed_entry(key) for key in PRINTED},
         "estimates": {
-            plant: {scheme: _estimates(cases[Key(scheme, plant, first)]) for scheme in SCHEMES} for plant in TEST_PLANTS
+            plant: {scheme: _estimates(cases[Key(scheme, plant, first)]) for scheme in SCHEMES}
+            for plant in TEST_PLANTS
         },
         "step2_start_s": {scheme: cases[Key(scheme, "S", first)].begin for scheme in SCHEMES},
         "methods": {scheme: cases[Key(scheme, "S", first)].method for scheme in SCHEMES},
-        "gains": {key: {scheme: _gain(cases[Key(scheme, "S", first)], key) for scheme in SCHEMES} for key in GAINS},
+        "gains": {
+            key: {scheme: _gain(cases[Key(scheme, "S", first)], key) for scheme in SCHEMES}
+            for key in GAINS
+        },
         "vc_heuristic_deg_s": math.degrees(heuristic),
         "eq25": [_eq25(cases, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS],
         "remark3": _remark3(cases),
         "runs": runs,
-    }  # fmt: skip
+    }
     return content
 
 
@@ -379,7 +470,10 @@ def _printed_entry(key: str) -> dict[str, Any]:
 
 def _estimates(case: Case) -> dict[str, Any]:
     kept = ("unit", "true", "final", "valid", "error_percent", "settling_s")
-    return {name: {key: e[key] for key in kept} | {"last": case.last.get(name)} for name, e in case.result["estimates"].items()}
+    return {
+        name: {key: e[key] for key in kept} | {"last": case.last.get(name)}
+        for name, e in case.result["estimates"].items()
+    }
 
 
 def _gain(case: Case, key: str) -> list[float] | None:
@@ -390,14 +484,20 @@ def _gain(case: Case, key: str) -> list[float] | None:
 
 def _run_entry(case: Case) -> dict[str, Any]:
     return {
-        **case.key._asdict(), "scenario": f"reproduce/{case.source.stem}",
-        "scenario_sha256": hashlib.sha256(case.source.read_bytes()).hexdigest(), "overrides": case.result["overrides"],
-        "verdict": case.result["verdict"], "diverged": case.result.get("diverged"), "checks": case.result["checks"],
-    }  # fmt: skip
+        **case.key._asdict(),
+        "scenario": f"reproduce/{case.source.stem}",
+        "scenario_sha256": hashlib.sha256(case.source.read_bytes()).hexdigest(),
+        "overrides": case.result["overrides"],
+        "verdict": case.result["verdict"],
+        "diverged": case.result.get("diverged"),
+        "checks": case.result["checks"],
+    }
 
 
 def _eq25(cases: Mapping[Key, Case], plant: str, order: int) -> dict[str, Any]:
-    """Return eq. (25) of all models on the validation record of a plant and an order, and why one has none."""
+    """Return eq. (25) of all models on the validation record of a plant and an order, and why one
+    has none.
+    """
     row: dict[str, Any] = {"plant": plant, "order": order} | dict.fromkeys(COMPARED)
     for scheme in SCHEMES:
         row[scheme] = cases[Key(scheme, plant, order)].model.mse_percent
@@ -406,11 +506,16 @@ def _eq25(cases: Mapping[Key, Case], plant: str, order: int) -> dict[str, Any]:
         row |= {name: fitted[f"{name}_mse_percent"] for name in ("linear", "coulomb", "floor")}
         row["rms_velocity"] = fitted["rms_velocity"]
     remarks = {scheme: cases[Key(scheme, plant, order)].model.remark for scheme in SCHEMES}
-    return row | {"remarks": {scheme: vars(remark) for scheme, remark in remarks.items() if remark is not None}}
+    return row | {
+        "remarks": {
+            scheme: vars(remark) for scheme, remark in remarks.items() if remark is not None
+        }
+    }
 
 
 def _remark3(cases: Mapping[Key, Case]) -> dict[str, Any]:
-    """Return the interval of c of remark 3 for L0, 1/(a0 + a1) < c < 1/a0, and the c of the fits and the schemes.
+    """Return the interval of c of remark 3 for L0, 1/(a0 + a1) < c < 1/a0, and the c of the fits
+    and the schemes.
 
     Source: dixit2008 section III remark 3 and eq. (10).
     """
@@ -425,4 +530,9 @@ def _remark3(cases: Mapping[Key, Case]) -> dict[str, Any]:
         fits = cases[Key(BASELINE_SCHEME, "L0", order)].result.get("validation", {}).get("fits", {})
         row["floor"] = fits["floor"]["parameters"]["modified.c"] if "floor" in fits else None
         found.append(row)
-    return {"plant": "L0", "unit": "1/rad", "interval": [stiffness / low, stiffness / high], "c": found}
+    return {
+        "plant": "L0",
+        "unit": "1/rad",
+        "interval": [stiffness / low, stiffness / high],
+        "c": found,
+    }

@@ -1,4 +1,6 @@
-"""The figures of `reproduce` as SVG text: each with the axes of the paper's, the schemes side by side."""
+"""The figures of `reproduce` as SVG text: each with the axes of the paper's, the schemes side by
+side.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,15 @@ from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.harness.figure_text import MODEL_LABELS
 from bristle.harness.figures import MODEL_COLOURS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
-from bristle.harness.reproduce import BASELINE_SCHEME, FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison, Key
+from bristle.harness.reproduce import (
+    BASELINE_SCHEME,
+    FILTER_ORDERS,
+    LETTERS,
+    SCHEMES,
+    Case,
+    Comparison,
+    Key,
+)
 
 Array = NDArray[np.float64]
 
@@ -52,9 +62,13 @@ def draw(found: Comparison) -> dict[str, Drawing]:
     made = {}
     with rc_context(STYLE):
         for name, painter in (
-            ("eq25", _eq25), ("figure_1", _stribeck), ("figure_3", _reference), ("figure_4", _step1), ("figure_5", _step2),
+            ("eq25", _eq25),
+            ("figure_1", _stribeck),
+            ("figure_3", _reference),
+            ("figure_4", _step1),
+            ("figure_5", _step2),
             ("figure_6", _validation),
-        ):  # fmt: skip
+        ):
             made[name] = svg(painter(found), f"reproduce-{name}")
     return made
 
@@ -63,33 +77,55 @@ def _case(found: Comparison, scheme: str, plant: str = "S", order: int = FILTER_
     return found.cases[Key(scheme, plant, order)]
 
 
-# -- eq. (25) --------------------------------------------------------------------------------------------------------
+# -- eq. (25) --------------------------------------------------------------------------------------
 
 
 def _eq25(found: Comparison) -> Any:
-    """Draw eq. (25) of all models, a row for each record, with the interval that the paper prints."""
+    """Draw eq. (25) of all models, a row for each record, with the interval that the paper
+    prints.
+    """
     rows = found.content["eq25"]
     figure = new_figure(11.0, 0.52 * len(rows) + 1.35)
     [ax] = [figure.subplots()]
     figure.subplots_adjust(left=1.75 / 11.0, top=1 - 0.72 / figure.get_size_inches()[1])
     low, high = PRINTED["mse"].values
-    ax.axvspan(low, high, color=GREY, alpha=0.3, linewidth=0, label=f"printed: {low:g} to {high:g} %")
+    ax.axvspan(
+        low, high, color=GREY, alpha=0.3, linewidth=0, label=f"printed: {low:g} to {high:g} %"
+    )
     looks = {scheme: (SCHEME_COLOURS[scheme], "o", LETTERS[scheme]) for scheme in SCHEMES}
-    looks |= {name: (INK, mark, MODEL_LABELS[name]) for name, mark in (("coulomb", "D"), ("floor", "|"), ("linear", "s"))}
+    looks |= {
+        name: (INK, mark, MODEL_LABELS[name])
+        for name, mark in (("coulomb", "D"), ("floor", "|"), ("linear", "s"))
+    }
     for name, (colour, mark, label) in looks.items():
-        points = [(row[name], k) for k, row in enumerate(rows) if row[name] is not None and math.isfinite(row[name])]
+        points = [
+            (row[name], k)
+            for k, row in enumerate(rows)
+            if row[name] is not None and math.isfinite(row[name])
+        ]
         x = [max(value, 1e-14) for value, _ in points]
         filled = {"markerfacecolor": "none"} if name in ("linear", "coulomb") else {}
-        ax.plot(x, [k for _, k in points], mark, color=colour, markersize=8, markeredgewidth=1.6, label=label, **filled)
+        ax.plot(
+            x,
+            [k for _, k in points],
+            mark,
+            color=colour,
+            markersize=8,
+            markeredgewidth=1.6,
+            label=label,
+            **filled,
+        )
     ax.set_xscale("log")
     ax.set_yticks(range(len(rows)), [f"set {row['plant']}, order {row['order']}" for row in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     set_labels(ax, x="eq. (25) on the second record, % of the variance of the velocity (log scale)")
-    ax.legend(loc="lower left", ncols=4, bbox_to_anchor=(-0.1, 1.0), columnspacing=1.4, handletextpad=0.3)
+    ax.legend(
+        loc="lower left", ncols=4, bbox_to_anchor=(-0.1, 1.0), columnspacing=1.4, handletextpad=0.3
+    )
     return figure
 
 
-# -- Figure 1 --------------------------------------------------------------------------------------------------------
+# -- Figure 1 --------------------------------------------------------------------------------------
 
 
 def _stribeck(found: Comparison) -> Any:
@@ -106,7 +142,11 @@ def _stribeck(found: Comparison) -> Any:
     ax.text(v0, 0.02 * top, " v₀", ha="left", va="bottom", color=INK)
     for name, (v, curve) in found.curves.items():
         label = "original LuGre law, set L0" if name == "plant" else LETTERS[name]
-        style = {"linewidth": 5.0, "color": TRUTH} if name == "plant" else {"color": SCHEME_COLOURS[name]}
+        style = (
+            {"linewidth": 5.0, "color": TRUTH}
+            if name == "plant"
+            else {"color": SCHEME_COLOURS[name]}
+        )
         ax.plot(v * DEGREES, curve, label=label, **style)
     ax.set_xlim(0, SHOWN_SPEED)
     ax.set_ylim(0, top)
@@ -115,7 +155,7 @@ def _stribeck(found: Comparison) -> Any:
     return figure
 
 
-# -- Figure 3 --------------------------------------------------------------------------------------------------------
+# -- Figure 3 --------------------------------------------------------------------------------------
 
 
 def _reference(found: Comparison) -> Any:
@@ -126,14 +166,16 @@ def _reference(found: Comparison) -> Any:
         case = _case(found, BASELINE_SCHEME, order=order)
         time_panel(ax, "reference", found.window("reference_window"))
         time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE_COLOUR, linewidth=1.1)
-        set_title(ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s")
+        set_title(
+            ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s"
+        )
         set_labels(ax, x="time, s")
     axes[0].set_ylim(*(1.08 * value for value in PRINTED["reference_range"].values))
     set_labels(axes[0], y="reference, deg/s")
     return figure
 
 
-# -- Figures 4 and 5 -------------------------------------------------------------------------------------------------
+# -- Figures 4 and 5 -------------------------------------------------------------------------------
 
 
 def _step1(found: Comparison) -> Any:
@@ -145,7 +187,9 @@ def _step2(found: Comparison) -> Any:
 
 
 def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str) -> Any:
-    """Draw estimates over time, a column for each scheme, on the axes of the paper; dashed are the levels that it prints."""
+    """Draw estimates over time, a column for each scheme, on the axes of the paper; dashed are the
+    levels that it prints.
+    """
     figure = new_figure(11.0, 3.7)
     axes = figure.subplots(1, len(SCHEMES), sharey=True)
     figure.subplots_adjust(wspace=0.08)
@@ -163,12 +207,19 @@ def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str)
                 time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])
         if failed := case.result.get("diverged"):
-            set_title(ax, f"diverged at {failed['time_s']:.3g} s", loc="right", fontsize=8, color=FAILED)
+            set_title(
+                ax, f"diverged at {failed['time_s']:.3g} s", loc="right", fontsize=8, color=FAILED
+            )
         set_labels(ax, x=f"time, s{', from the start of step 2' if begin else ''}")
     axes[0].set_ylim(low, high)
     set_labels(axes[0], y=unit)
     axes[0].legend(
-        *_marks(axes), loc="upper right", ncols=len(colours), bbox_to_anchor=(1.0, 1.0), columnspacing=1.0, handletextpad=0.4
+        *_marks(axes),
+        loc="upper right",
+        ncols=len(colours),
+        bbox_to_anchor=(1.0, 1.0),
+        columnspacing=1.0,
+        handletextpad=0.4,
     )
     return figure
 
@@ -182,15 +233,19 @@ def _marks(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
     return [], []
 
 
-# -- Figure 6 --------------------------------------------------------------------------------------------------------
+# -- Figure 6 --------------------------------------------------------------------------------------
 
 
 def _validation(found: Comparison) -> Any:
-    """Draw measured and predicted velocity, a panel for each scheme and one for the linear model, and the errors below."""
+    """Draw measured and predicted velocity, a panel for each scheme and one for the linear model,
+    and the errors below.
+    """
     panels = [(scheme, "model", LETTERS[scheme], SCHEME_COLOURS[scheme]) for scheme in SCHEMES]
     panels.append((BASELINE_SCHEME, "linear", MODEL_LABELS["linear"], MODEL_COLOURS["linear"]))
     figure = new_figure(11.0, 7.4)
-    grid = figure.add_gridspec(5, 2, height_ratios=[2.0, 0.9, 0.42, 2.0, 0.9], hspace=0.12, wspace=0.08)
+    grid = figure.add_gridspec(
+        5, 2, height_ratios=[2.0, 0.9, 0.42, 2.0, 0.9], hspace=0.12, wspace=0.08
+    )
     first, last = found.window("validation_window")
     for k, (scheme, model, title, colour) in enumerate(panels):
         row, column = 3 * (k // 2), k % 2
@@ -203,8 +258,17 @@ def _validation(found: Comparison) -> Any:
         row_of = found.content["eq25"][0]
         score = row_of["linear" if model == "linear" else scheme]
         set_title(top, title)
-        alone = "α₂, b, Fc alone, " if model == "model" and case.model.remark and case.model.remark.kind == "step1" else ""
-        set_title(top, "no prediction" if score is None else f"{alone}eq. (25): {score:.2g} %", loc="right", fontsize=8.5)
+        alone = (
+            "α₂, b, Fc alone, "
+            if model == "model" and case.model.remark and case.model.remark.kind == "step1"
+            else ""
+        )
+        set_title(
+            top,
+            "no prediction" if score is None else f"{alone}eq. (25): {score:.2g} %",
+            loc="right",
+            fontsize=8.5,
+        )
         top.set_ylim(*PRINTED["validation_range"].values)
         low.set_ylim(-120, 120)
         for ax in (top, low):

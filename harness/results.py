@@ -19,7 +19,9 @@ THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
 
 
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
-    """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless `full`."""
+    """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless
+    `full`.
+    """
     rows = len(next(iter(columns.values())))
     kept = np.arange(rows) if full else thinned(rows)
     return table_text({name: column[kept] for name, column in columns.items()}, 10)
@@ -40,7 +42,9 @@ class Missing:
 
 
 def rows_of(result: Mapping[str, Any]) -> int:
-    """Return how many rows a run has at full rate: one a step and the start, for which a record has none."""
+    """Return how many rows a run has at full rate: one a step and the start, for which a record has
+    none.
+    """
     steps = int(result["steps"])
     return max(steps, 1) if "record" in result else steps + 1
 
@@ -52,14 +56,21 @@ def missing(rows: NDArray[np.int64], needed: NDArray[np.int64]) -> Missing | Non
 
 
 def refuse_strange(target: Path) -> None:
-    """Refuse to replace anything but a result folder: one that is empty or holds a result.json and only files of such kinds."""
+    """Refuse to replace anything but a result folder: one that is empty or holds a result.json and
+    only files of such kinds.
+    """
     if not target.exists() and not target.is_symlink():
         return
     ours = target.is_dir() and not target.is_symlink()
     if ours and (inside := list(target.iterdir())):
-        ours = (target / "result.json").is_file() and all(p.is_file() and p.suffix in RESULT_SUFFIXES for p in inside)
+        ours = (target / "result.json").is_file() and all(
+            p.is_file() and p.suffix in RESULT_SUFFIXES for p in inside
+        )
     if not ours:
-        raise BristleError(f"{target}: exists and is no result folder of bristle; write elsewhere or rename the scenario")
+        raise BristleError(
+            f"{target}: exists and is no result folder of bristle; write elsewhere or rename the"
+            " scenario"
+        )
 
 
 def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
@@ -68,7 +79,8 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     Raises
     ------
     BristleError
-        If the folder cannot be written or the disk is full; what was there before is then still there.
+        If the folder cannot be written or the disk is full; what was there before is then still
+        there.
     """
     target = out / name
     refuse_strange(target)
@@ -76,6 +88,9 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise complain(out, error) from None
-    content = {f"{name}/{file}": each.encode() if isinstance(each, str) else each for file, each in files.items()}
+    content = {
+        f"{name}/{file}": each.encode() if isinstance(each, str) else each
+        for file, each in files.items()
+    }
     replace_files(out, content, [name])
     return target

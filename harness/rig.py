@@ -1,10 +1,11 @@
 """Units of a rig, and the normalised ones in which an observer runs on the rig's record.
 
-Gains, gates and thresholds of the observers belong to a servo that turns at about 120 deg/s and is driven by a few volts. A record
-of another speed, in other units or with another kind of input is therefore scaled to the same rms speed and the same rms input
-before an observer reads it, and all that the observer publishes is scaled back. alpha2, sigma_i and tau are the same in any units;
-b, c, Fc, load, w, v and theta are not.
-Source: dixit2008 eq. (15)-(17), which keep their form when position and input are scaled.
+Gains, gates and thresholds of the observers belong to a servo that turns at about 120 deg/s and is
+driven by a few volts. A record of another speed, in other units or with another kind of input is
+therefore scaled to the same rms speed and the same rms input before an observer reads it, and all
+that the observer publishes is scaled back. alpha2, sigma_i and tau are the same in any units; b, c,
+Fc, load, w, v and theta are not. Source: dixit2008 eq. (15)-(17), which keep their form when
+position and input are scaled.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class Rig:
         if self.angle == self.voltage == 1.0:
             return 1.0
         exponents = dict(zip(BASE, parse_unit(observers).exponents, strict=True))
-        return float(self.angle ** exponents["rad"] * self.voltage ** exponents["kg"])  # of what observers read only V has kg
+        # of what observers read only V has kg
+        return float(self.angle ** exponents["rad"] * self.voltage ** exponents["kg"])
 
     def written(self, observers: str) -> tuple[str, float]:
         """Return the rig's unit for one in rad and V, and what one of it is worth there."""
@@ -65,18 +67,24 @@ class Rig:
 
 
 def normalising(layout: Layout, h: float, y: Array, u: Array) -> Rig:
-    """Return the scales that give a record the speed and the input that observers are made for; where nothing moves, 1."""
+    """Return the scales that give a record the speed and the input that observers are made for;
+    where nothing moves, 1.
+    """
     speed = np.abs(y) if layout.output_kind == "velocity" else _speeds(y, h)
     usual = _rms(speed)
     moving, drive = _rms(speed[speed > MOVING_SHARE * usual]), _rms(u)
     return Rig(
-        "m" if layout.linear else ANGLE, layout.input_unit,
-        NORMAL_SPEED / moving if moving > 0 else 1.0, NORMAL_INPUT / drive if drive > 0 else 1.0,
-    )  # fmt: skip
+        "m" if layout.linear else ANGLE,
+        layout.input_unit,
+        NORMAL_SPEED / moving if moving > 0 else 1.0,
+        NORMAL_INPUT / drive if drive > 0 else 1.0,
+    )
 
 
 def _speeds(position: Array, h: float) -> Array:
-    """Return the speeds as differences over a window in which the steps of the sensor hardly count."""
+    """Return the speeds as differences over a window in which the steps of the sensor hardly
+    count.
+    """
     samples = min(max(1, round(SPEED_WINDOW / h)), len(position) - 1)
     return np.abs(position[samples:] - position[:-samples]) / (samples * h)
 

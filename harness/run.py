@@ -66,7 +66,8 @@ class Run:
 
     result: dict[str, Any]
     folder: Path
-    findings: tuple[str, ...] = ()  # what was found in the record and repaired, and why its verdict is fail, one line each
+    # what was found in the record and repaired, and why its verdict is fail, one line each
+    findings: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -91,7 +92,9 @@ class _Clock:
 
 @dataclass
 class Checked:
-    """A scenario that is read and checked against its FMUs and its record, and the output folder it is run into."""
+    """A scenario that is read and checked against its FMUs and its record, and the output folder it
+    is run into.
+    """
 
     setup: Setup
     out: Path
@@ -109,7 +112,8 @@ def check(
     progress: Progress | None = None,
     refuse: Callable[[Path], None] = results.refuse_strange,
 ) -> Checked:
-    """Read and check a scenario and all that it names, building FMUs that are new; `execute` runs it.
+    """Read and check a scenario and all that it names, building FMUs that are new; `execute` runs
+    it.
 
     `refuse` raises an error if the folder of the result may not be replaced.
 
@@ -124,12 +128,16 @@ def check(
         refuse(out / loaded.name)
         with clock.stage("FMUs (built only if new)"):
             tell("building FMUs", 0, 0)
-            checked = check_loaded(loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock)
+            checked = check_loaded(
+                loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock
+            )
             _check_estimated(checked.setup)
             return checked
 
 
-def check_loaded(loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: Options, clock: _Clock | None = None) -> Checked:
+def check_loaded(
+    loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: Options, clock: _Clock | None = None
+) -> Checked:
     """Check a scenario against its FMUs; errors as of `check`."""
     setup = replace(prepare(loaded, fmus), timeout=options.timeout)
     lean = {}
@@ -144,38 +152,67 @@ def _check_quantities(setup: Setup) -> None:
     """Refuse a check of a number that no result has, or not that of this scenario."""
     observer, scenario = setup.fmus["observer"], setup.scenario
     hats = [name.removesuffix("_hat") for name in observer.names("output") if name.endswith("_hat")]
-    known = metrics.check_quantities([name for name in hats if observer.has(f"{name}_valid", "output")], list(BASELINES))
-    absent = [f"[{part}]" for part in ("validation", "record", "plant") if getattr(scenario, part) is None]
+    known = metrics.check_quantities(
+        [name for name in hats if observer.has(f"{name}_valid", "output")], list(BASELINES)
+    )
+    absent = [
+        f"[{part}]" for part in ("validation", "record", "plant") if getattr(scenario, part) is None
+    ]
     absent += ["compensation"] if scenario.controller.compensation == "none" else []
     for i, demand in enumerate(scenario.checks):
         part, key = demand.quantity.partition(".")[0], f"checks[{i}].quantity"
         needed = {"tracking": "compensation", "behaviour": "[plant]"}.get(part, f"[{part}]")
         if needed in absent:
-            raise setup.loaded.error(key, demand.quantity, f"the scenario has no {needed}; add it or remove the check")
+            raise setup.loaded.error(
+                key, demand.quantity, f"the scenario has no {needed}; add it or remove the check"
+            )
         if demand.quantity not in known:
             what = f"no number of the result{suggest(demand.quantity, known)}"
-            raise setup.loaded.error(key, demand.quantity, f"{what}; choose one of the check quantities in the scenario reference")
+            raise setup.loaded.error(
+                key,
+                demand.quantity,
+                f"{what}; choose one of the check quantities in the scenario reference",
+            )
 
 
 def _check_estimated(setup: Setup) -> None:
-    """Refuse a check of what the method does not estimate; an FMU from elsewhere shows that only when it runs."""
+    """Refuse a check of what the method does not estimate; an FMU from elsewhere shows that only
+    when it runs.
+    """
     from bristle.fmus.build import estimated
 
     observer, method = setup.fmus["observer"], setup.scenario.observer.method
     if observer.foreign or method is None:
         return
-    named = {i: each.quantity for i, each in enumerate(setup.scenario.checks) if each.quantity.split(".")[0] in ESTIMATED}
+    named = {
+        i: each.quantity
+        for i, each in enumerate(setup.scenario.checks)
+        if each.quantity.split(".")[0] in ESTIMATED
+    }
     found = estimated(method) if named else []
     for i, quantity in named.items():
         part, name, _ = quantity.split(".")
         if name not in found:
-            kind = metrics.STATES if part == "states" else [each for each in found if observer.has(f"{each}_valid", "output")]
+            kind = (
+                metrics.STATES
+                if part == "states"
+                else [each for each in found if observer.has(f"{each}_valid", "output")]
+            )
             others = [each for each in found if each in kind]
-            advice = f"it estimates {', '.join(others) or 'none'}: check one of these, or choose another method"
-            raise setup.loaded.error(f"checks[{i}].quantity", quantity, f"the method {method} does not estimate {name}; {advice}")
+            advice = (
+                f"it estimates {', '.join(others) or 'none'}: check one of these, or choose another"
+                " method"
+            )
+            raise setup.loaded.error(
+                f"checks[{i}].quantity",
+                quantity,
+                f"the method {method} does not estimate {name}; {advice}",
+            )
 
 
-def run(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Run:
+def run(
+    path: Path, out: Path, options: Options | None = None, progress: Progress | None = None
+) -> Run:
     """Run a scenario and write its result folder `out/<scenario>`.
 
     Raises
@@ -189,7 +226,9 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
 
 @dataclass(frozen=True)
 class Outcome:
-    """A scenario that has run, before anything is written: result.json without the timing, signals, the validation."""
+    """A scenario that has run, before anything is written: result.json without the timing, signals,
+    the validation.
+    """
 
     result: dict[str, Any]
     view: View
@@ -202,27 +241,42 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     """Run a scenario that is checked, and judge it."""
     setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
     with clock.stage("co-simulation"):
-        trace = checked.simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
+        trace = checked.simulate(
+            checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout
+        )
     with clock.stage("metrics"):
         view = View(setup, trace)
-        result = measured(setup, trace, view) | {"units": view.column_units(setup), "provenance": _provenance(checked)}
+        result = measured(setup, trace, view) | {
+            "units": view.column_units(setup),
+            "provenance": _provenance(checked),
+        }
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
         with clock.stage("the same run without compensation"):
-            followed = tracking(trace, _second_run(checked, uncompensated(setup), "controller.compensation"))
+            followed = tracking(
+                trace, _second_run(checked, uncompensated(setup), "controller.compensation")
+            )
             result["tracking"] = followed.as_dict()
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
             validated = _validate(checked, result, view)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
-    findings = (*_trusted(setup), *(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
+    findings = (
+        *_trusted(setup),
+        *(setup.samples.findings if setup.samples else ()),
+        *_judge(result, setup),
+    )
     return Outcome(result, view, validated, findings, followed)
 
 
 def measured(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
-    """Return result.json of a run without what needs a second run, verdict, provenance and timing."""
-    return _measure(setup, trace, view) | {"behaviour": {name: each.as_dict() for name, each in _behaviour(setup, view).items()}}
+    """Return result.json of a run without what needs a second run, verdict, provenance and
+    timing.
+    """
+    return _measure(setup, trace, view) | {
+        "behaviour": {name: each.as_dict() for name, each in _behaviour(setup, view).items()}
+    }
 
 
 def _behaviour(setup: Setup, view: View) -> Mapping[str, Quantity]:
@@ -231,17 +285,28 @@ def _behaviour(setup: Setup, view: View) -> Mapping[str, Quantity]:
         return {}
     plant, values = setup.fmus["plant"], setup.values["plant"]
     known = {
-        name: float(values.get(name, plant.start(name))) if plant.has(name, "parameter") else None for name in ("J", "b", "u_max")
+        name: float(values.get(name, plant.start(name))) if plant.has(name, "parameter") else None
+        for name in ("J", "b", "u_max")
     }
     limit = known["u_max"] if known["u_max"] is not None else math.inf
-    units = {key: plant.unit(port) for key, port in (("speed_unit", "v"), ("torque_unit", "F")) if plant.has(port, "output")}
-    return behaviour(Motion(setup.h, view.signals, known["J"], known["b"], limit, setup.scenario.open_loop, **units))
+    units = {
+        key: plant.unit(port)
+        for key, port in (("speed_unit", "v"), ("torque_unit", "F"))
+        if plant.has(port, "output")
+    }
+    return behaviour(
+        Motion(
+            setup.h, view.signals, known["J"], known["b"], limit, setup.scenario.open_loop, **units
+        )
+    )
 
 
 def verdict(setup: Setup, trace: Trace) -> str:
     """Judge a run by the checks that need no second run; pass or fail."""
     result = measured(setup, trace, View(setup, trace))
-    checks = [each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS]
+    checks = [
+        each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS
+    ]
     return _verdict(result | {"checks": metrics.judge(result, checks)})
 
 
@@ -263,14 +328,19 @@ def _no_progress(stage: str, done: int, total: int) -> None:
 
 def _load_drawing() -> None:
     """Import what the report needs while the compiled loop runs, which releases the interpreter."""
-    with suppress(ImportError, OSError, MemoryError):  # the report says it, in the thread that needs it
+    # the report says it, in the thread that needs it
+    with suppress(ImportError, OSError, MemoryError):
         import matplotlib.backends.backend_svg
         import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
 
 def _trusted(setup: Setup) -> list[str]:
     files = " and ".join(setup.fmus[name].path.name for name in setup.foreign)
-    return [f"{files}: code from elsewhere, which ran with your rights: use only FMUs that you trust"] if files else []
+    return (
+        [f"{files}: code from elsewhere, which ran with your rights: use only FMUs that you trust"]
+        if files
+        else []
+    )
 
 
 class View:
@@ -280,7 +350,9 @@ class View:
         observer, rig = setup.fmus["observer"], setup.rig
         units = {name: observer.unit(name) for unit, name in trace.record if unit == "observer"}
         if setup.samples is not None:
-            trace = trace.from_first_sample({("observer", name): 1 / rig.worth(unit) for name, unit in units.items()})
+            trace = trace.from_first_sample(
+                {("observer", name): 1 / rig.worth(unit) for name, unit in units.items()}
+            )
         self.trace, self.time, self.rig = trace, trace.time, rig
         rows = len(trace.values)
         self.signals: dict[str, Array] = {}
@@ -289,36 +361,70 @@ class View:
             self.signals = {"u": s.u[:rows], "theta": s.theta[:rows], "v": s.v[:rows]}
             self.sensed = {"theta": s.theta[:rows], "v": s.v[:rows]}
         else:
-            self.signals = {name: trace[unit, name] for unit, name in trace.record if unit != "observer"}
+            self.signals = {
+                name: trace[unit, name] for unit, name in trace.record if unit != "observer"
+            }
             self.signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
-            self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
-        self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
-        self.estimated = {name: self.observed[f"{name}_hat"] for name in ("v", "F") if metrics.estimates_state(trace, name)}
+            self.sensed = {
+                key: trace["plant", port]
+                for key, port in zip(("theta", "v"), setup.sensor, strict=True)
+            }
+        self.observed = {
+            name: trace[unit, name] for unit, name in trace.record if unit == "observer"
+        }
+        self.estimated = {
+            name: self.observed[f"{name}_hat"]
+            for name in ("v", "F")
+            if metrics.estimates_state(trace, name)
+        }
         self.true = {} if setup.samples is not None else self._true(setup)
         self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
         self.published = metrics.courses(trace, self.units)
         self.friction = self._friction(setup)
 
     def columns(self) -> dict[str, Array]:
-        """Return all signals at full rate, and for each estimate whether the observer calls it valid."""
-        return {**self.signals, **self.observed, **{f"{name}_valid": course.valid for name, course in self.published.items()}}
+        """Return all signals at full rate, and for each estimate whether the observer calls it
+        valid.
+        """
+        return {
+            **self.signals,
+            **self.observed,
+            **{f"{name}_valid": course.valid for name, course in self.published.items()},
+        }
 
     def column_units(self, setup: Setup) -> dict[str, str]:
         """Return the unit of each of these signals."""
         if setup.samples is not None:
-            own = {"u": self.rig.unit("V"), "theta": self.rig.unit("rad"), "v": self.rig.unit("rad/s")}
+            own = {
+                "u": self.rig.unit("V"),
+                "theta": self.rig.unit("rad"),
+                "v": self.rig.unit("rad/s"),
+            }
         else:
-            own = {name: setup.fmus[unit].unit(name) for unit, name in self.trace.record if unit != "observer"}
-            own |= {each.variable: setup.fmus[each.unit].unit(each.variable) for each in setup.stimuli}
-        observer = {name: self.rig.unit(setup.fmus["observer"].unit(name)) for name in self.observed}
+            own = {
+                name: setup.fmus[unit].unit(name)
+                for unit, name in self.trace.record
+                if unit != "observer"
+            }
+            own |= {
+                each.variable: setup.fmus[each.unit].unit(each.variable) for each in setup.stimuli
+            }
+        observer = {
+            name: self.rig.unit(setup.fmus["observer"].unit(name)) for name in self.observed
+        }
         return {**own, **observer, **{f"{name}_valid": "1" for name in self.published}}
 
     def _true(self, setup: Setup) -> dict[str, Array]:
-        """Return the true parameters under the loads that act on the plant, and of the observer's elements."""
+        """Return the true parameters under the loads that act on the plant, and of the observer's
+        elements.
+        """
         torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
         load = 0.0 if torque is None or inertia is None else torque / inertia
         found = metrics.true_values(self.trace, self.signals.get("load_scale", 1.0), load)
-        distances = [metrics.element_distances(setup.fmus[unit], setup.values[unit]) for unit in ("plant", "observer")]
+        distances = [
+            metrics.element_distances(setup.fmus[unit], setup.values[unit])
+            for unit in ("plant", "observer")
+        ]
         return metrics.of_same_elements(found, *distances)
 
     @staticmethod
@@ -346,18 +452,29 @@ class View:
 def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
     """Return result.json without validation, verdict and timing."""
     fmus = {
-        name: {"file": fmu.path.name, "sha256": fmu.sha256, "fmi": fmu.description.fmiVersion, "kind": fmu.kind}
+        name: {
+            "file": fmu.path.name,
+            "sha256": fmu.sha256,
+            "fmi": fmu.description.fmiVersion,
+            "kind": fmu.kind,
+        }
         for name, fmu in setup.fmus.items()
     }
     result: dict[str, Any] = {
-        "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "wall_s": 0.0,
-        "duration_s": trace.steps * trace.h, "step_s": trace.h, "overrides": setup.loaded.overrides,
+        "scenario": setup.loaded.name,
+        "verdict": "fail",
+        "steps": trace.steps,
+        "wall_s": 0.0,
+        "duration_s": trace.steps * trace.h,
+        "step_s": trace.h,
+        "overrides": setup.loaded.overrides,
         "notes": [*setup.loaded.notes, *(setup.samples.findings if setup.samples else ())],
         "innovation": metrics.last_innovation(view.trace),
         "estimates": metrics.estimates(view.time, view.published, view.true),
         "states": metrics.state_errors(view.trace, view.states(), view.units),
-        "checks": [], "fmus": fmus,
-    }  # fmt: skip
+        "checks": [],
+        "fmus": fmus,
+    }
     result["adapted"] = any(estimate["adapted"] for estimate in result["estimates"].values())
     if setup.samples is not None and setup.scenario.record is not None:
         file = setup.loaded.beside(setup.scenario.record.file)
@@ -367,12 +484,19 @@ def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
             "samples": len(setup.samples),
         }
     if "reference" in view.signals:
-        result["tracking_rms"] = float(np.sqrt(np.mean((view.signals["reference"] - view.signals["v"]) ** 2)))
+        result["tracking_rms"] = float(
+            np.sqrt(np.mean((view.signals["reference"] - view.signals["v"]) ** 2))
+        )
     if trace.failure is not None:
         failure = trace.failure
-        result["diverged"] = {"fmu": failure.unit, "time_s": failure.time, "message": failure.message}
+        result["diverged"] = {
+            "fmu": failure.unit,
+            "time_s": failure.time,
+            "message": failure.message,
+        }
         result["notes"].append(
-            f"The run ended at {failure.time:g} s of {setup.steps * setup.h:g} s: {failure.unit}: {failure.message}."
+            f"The run ended at {failure.time:g} s of {setup.steps * setup.h:g} s: {failure.unit}:"
+            f" {failure.message}."
         )
     return result
 
@@ -380,7 +504,9 @@ def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
 def _validate(checked: Checked, result: Mapping[str, Any], view: View) -> Validation:
     setup, fmus = checked.setup, checked.lean
     second = _second_run(checked, validation_bus(setup), "validation")
-    identified = identified_model(result["estimates"], given_parameters(setup, setup.values["observer"]), fmus)
+    identified = identified_model(
+        result["estimates"], given_parameters(setup, setup.values["observer"]), fmus
+    )
     demand = setup.scenario.validation
     assert demand is not None
     data = identification_data(setup, view.signals["u"], view.sensed["theta"], view.sensed["v"])
@@ -395,7 +521,9 @@ def _second_run(checked: Checked, bus: Bus, key: str) -> Trace:
     if second.failure is not None:
         failure = second.failure
         what = f"the second run ended at {failure.time:g} s: {failure.unit}: {failure.message}"
-        raise setup.loaded.error(key, None, f"{what}; change the scenario so that it runs to its end, or remove this key")
+        raise setup.loaded.error(
+            key, None, f"{what}; change the scenario so that it runs to its end, or remove this key"
+        )
     return second
 
 
@@ -407,7 +535,12 @@ def _provenance(checked: Checked) -> dict[str, Any]:
     if controller is not None and controller.has("seed", "parameter"):
         seed = int(setup.values["controller"].get("seed", controller.start("seed")))
     sha256 = hashlib.sha256(loaded.text.encode()).hexdigest()
-    return {**provenance(), "scenario_sha256": sha256, "seed": seed, "command": command_of(loaded.path, options, checked.out)}
+    return {
+        **provenance(),
+        "scenario_sha256": sha256,
+        "seed": seed,
+        "command": command_of(loaded.path, options, checked.out),
+    }
 
 
 def command_of(path: Path, options: Options, out: Path | None = None) -> str:
@@ -424,24 +557,37 @@ def command_of(path: Path, options: Options, out: Path | None = None) -> str:
 
 
 def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
-    """Set checks and verdict; of a record without checks, return and note why the verdict is fail."""
+    """Set checks and verdict; of a record without checks, return and note why the verdict is
+    fail.
+    """
     checks = setup.scenario.checks
-    result["checks"] = metrics.judge(result, checks or metrics.validity_checks(result, _innovation_limit(setup)))
+    result["checks"] = metrics.judge(
+        result, checks or metrics.validity_checks(result, _innovation_limit(setup))
+    )
     result["verdict"] = _verdict(result)
     if checks or result["verdict"] == "pass":
         return []
-    line = f"No checks are given, so the verdict is what the observer says of itself: {metrics.why_not(result)}"
+    line = (
+        "No checks are given, so the verdict is what the observer says of itself:"
+        f" {metrics.why_not(result)}"
+    )
     result["notes"].append(line)
     return [line]
 
 
 def _verdict(result: Mapping[str, Any]) -> str:
     """Return pass where the run came to its end and all checks hold."""
-    return "pass" if all(check["pass"] for check in result["checks"]) and "diverged" not in result else "fail"
+    return (
+        "pass"
+        if all(check["pass"] for check in result["checks"]) and "diverged" not in result
+        else "fail"
+    )
 
 
 def _innovation_limit(setup: Setup) -> float | None:
-    """Return up to which innovation the estimates count, None if the method has no such limit: its deviations then grow with it."""
+    """Return up to which innovation the estimates count, None if the method has no such limit: its
+    deviations then grow with it.
+    """
     observer, name = setup.fmus["observer"], f"{setup.scenario.observer.method}.innovation_limit"
     if not observer.has(name, "parameter"):
         return None
@@ -457,13 +603,22 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
     figures = draw(_pictures(found))
     csv = results.to_csv({"time": view.time, **view.columns()}, full)
     scenario = setup.scenario
-    about = {"title": scenario.title, "shows": scenario.shows, "source": scenario.source, "limits": scenario.limits}
+    about = {
+        "title": scenario.title,
+        "shows": scenario.shows,
+        "source": scenario.source,
+        "limits": scenario.limits,
+    }
     clock.seconds["report"] = time.perf_counter() - begin
     result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
     result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)
     files: dict[str, str | bytes] = {f"{name}.svg": svg for name, svg in figures.items()}
     observer = setup.fmus["observer"]
-    meanings = {name.removesuffix("_hat"): observer.meaning(name) for name in observer.names("output") if name.endswith("_hat")}
+    meanings = {
+        name.removesuffix("_hat"): observer.meaning(name)
+        for name in observer.names("output")
+        if name.endswith("_hat")
+    }
     page = render(plain(result), figures, about, meanings, setup.loaded.text)
     return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}
 
@@ -473,8 +628,18 @@ def _pictures(found: Outcome) -> Any:
 
     result, view = found.result, found.view
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
-    pictures = Pictures(view.time, result["estimates"], view.published, view.true, rig=view.rig, measured="record" in result)
-    pictures.signals = {**view.signals, **({"v_hat": view.estimated["v"]} if "v" in view.estimated else {})}
+    pictures = Pictures(
+        view.time,
+        result["estimates"],
+        view.published,
+        view.true,
+        rig=view.rig,
+        measured="record" in result,
+    )
+    pictures.signals = {
+        **view.signals,
+        **({"v_hat": view.estimated["v"]} if "v" in view.estimated else {}),
+    }
     pictures.validation, pictures.tracking = found.validated, found.tracking
     if view.friction is not None:
         pictures.friction = (view.signals["v"][late], view.friction[late])

@@ -1,4 +1,6 @@
-"""A measured record as an observer reads it: input, position and velocity, and the units that they are in."""
+"""A measured record as an observer reads it: input, position and velocity, and the units that they
+are in.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,10 @@ from bristle.records import Layout, Record, read_record
 from bristle.records.layout import layout_of
 from bristle.records.resolution import noise_step
 
-STEP_TOLERANCE = 0.01  # fraction by which the scenario's step may differ from the record's sampling period
-TRIED_PERIODS = (0.5e-3, 20e-3)  # s, shortest and longest sampling period that observers are tried at
+# fraction by which the scenario's step may differ from the record's sampling period
+STEP_TOLERANCE = 0.01
+# s, shortest and longest sampling period that observers are tried at
+TRIED_PERIODS = (0.5e-3, 20e-3)
 
 
 @dataclass(frozen=True)
@@ -29,14 +33,17 @@ class Samples:
     measured: tuple[str, ...]  # which of theta and v were measured; the other one follows from it
     findings: tuple[str, ...] = ()  # what was found in the record and repaired, one line each
     rig: Rig = field(default_factory=Rig)  # units, and the scales that an observer reads them in
-    resolution: float | None = None  # step of the position sensor [rad or m]; None: no position was measured
+    # step of the position sensor [rad or m]; None: no position was measured
+    resolution: float | None = None
 
     def __len__(self) -> int:
         return len(self.u)
 
 
 def read_samples(loaded: Loaded) -> Samples:
-    """Read the record that a scenario names; raise `BristleError`, one line, where observers cannot read it."""
+    """Read the record that a scenario names; raise `BristleError`, one line, where observers cannot
+    read it.
+    """
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = layout_of(scenario.record, loaded.path, "record.", scenario.record.velocity)
@@ -44,20 +51,36 @@ def read_samples(loaded: Loaded) -> Samples:
         record = read_record(layout, loaded.beside(scenario.record.file))
     except BristleError as error:
         raise loaded.error("record.file", scenario.record.file, str(error)) from None
-    if "step" in scenario.model_fields_set and abs(scenario.step - record.h) > STEP_TOLERANCE * record.h:
-        raise loaded.error("step", f"{scenario.step:g} s", f"the record is sampled every {record.h:g} s; leave step out")
+    if (
+        "step" in scenario.model_fields_set
+        and abs(scenario.step - record.h) > STEP_TOLERANCE * record.h
+    ):
+        raise loaded.error(
+            "step",
+            f"{scenario.step:g} s",
+            f"the record is sampled every {record.h:g} s; leave step out",
+        )
     count = len(record)
     if scenario.duration is not None:
         count = round(scenario.duration / record.h) + 1
         if count > len(record):
             longest = f"the record ends after {(len(record) - 1) * record.h:g} s"
-            raise loaded.error("duration", f"{scenario.duration:g} s", f"{longest}; shorten it or leave it out")
+            raise loaded.error(
+                "duration", f"{scenario.duration:g} s", f"{longest}; shorten it or leave it out"
+            )
     theta, v, measured = _motion(layout, record)
     rig = normalising(layout, record.h, record.y[:count], record.u[:count])
     findings = (*record.findings, *_untried(record))
     return Samples(
-        record.h, record.u[:count], theta[:count], v[:count], measured, findings, rig, _position_step(layout, record)
-    )  # fmt: skip
+        record.h,
+        record.u[:count],
+        theta[:count],
+        v[:count],
+        measured,
+        findings,
+        rig,
+        _position_step(layout, record),
+    )
 
 
 def _untried(record: Record) -> list[str]:
@@ -70,7 +93,9 @@ def _untried(record: Record) -> list[str]:
 
 
 def _position_step(layout: Layout, record: Record) -> float | None:
-    """Return the step of the position sensor: as declared, else the coarser of what the readings show and of their noise."""
+    """Return the step of the position sensor: as declared, else the coarser of what the readings
+    show and of their noise.
+    """
     if layout.output_kind == "velocity":
         return None
     return layout.resolution or max(record.resolution or 0.0, noise_step(record.y))
@@ -79,8 +104,8 @@ def _position_step(layout: Layout, record: Record) -> float | None:
 def _motion(layout: Layout, record: Record) -> tuple[Array, Array, tuple[str, ...]]:
     """Return position, velocity, and which of them were measured.
 
-    A position alone gives the velocity as a backward difference, as a counter does; a velocity alone gives the position as its
-    integral from 0 by the trapezoidal rule.
+    A position alone gives the velocity as a backward difference, as a counter does; a velocity
+    alone gives the position as its integral from 0 by the trapezoidal rule.
     """
     if layout.output_kind == "velocity":
         v = record.y

@@ -1,4 +1,6 @@
-"""Scenario files: TOML schema, overrides, and error lines that name file, key, value and what to do."""
+"""Scenario files: TOML schema, overrides, and error lines that name file, key, value and what to
+do.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from bristle.common.errors import BristleError
@@ -60,31 +69,40 @@ class Part(Section):
     fmu: str | None = None
     """Path of an FMU, relative to the scenario file, in place of one that is built."""
     variables: dict[str, str | dict[str, str | float]] = Field(default={})
-    """Names of the FMU's variables where they are not those of the bus, by these: `u = "voltage"`, or
-    `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one of its number is worth in that."""
+    """Names of the FMU's variables where they are not those of the bus, by these: `u = "voltage"`,
+    or `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one of its number
+    is worth in that."""
     parameters: dict[str, Given] = Field(default={})
-    """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2"); numbers alone where the unit is 1."""
+    """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2");
+    numbers alone where the unit is 1.
+    """
 
 
 class Plant(Part):
-    """The servo: a friction law of bristle, or an FMU with inputs u (tau_load, load_scale) and outputs theta, v."""
+    """The servo: a friction law of bristle, or an FMU with inputs u (tau_load, load_scale) and
+    outputs theta, v.
+    """
 
     law: str | None = None
     """Friction law of the plant that is built."""
     effects: list[str] = Field(default=[])
-    """Effects that the plant has beside its law; their parameters are among `parameters`, such as `cogging.amplitude`."""
+    """Effects that the plant has beside its law; their parameters are among `parameters`, such as
+    `cogging.amplitude`.
+    """
 
 
 class Controller(Part):
     """The reference generator and PI controller: input y_v, outputs u, reference."""
 
     compensation: Literal["none", "valid", "adapted"] = "none"
-    """Which estimates the controller gets, to compensate friction and inertia: those that are valid, or all, on trial, once
-    adapted. The same run without them is compared."""
+    """Which estimates the controller gets, to compensate friction and inertia: those that are
+    valid, or all, on trial, once adapted. The same run without them is compared."""
 
 
 class Observer(Part):
-    """The adaptive observer: a method of bristle, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
+    """The adaptive observer: a method of bristle, or an FMU with inputs u, y_theta, y_v and outputs
+    P_hat, P_valid.
+    """
 
     method: str | None = None
     """Method of the observer that is built."""
@@ -102,7 +120,9 @@ class Sine(Section):
 
 
 class Noise(Section):
-    """Coloured noise over the whole run: white noise behind a low-pass of first order, held constant over each step."""
+    """Coloured noise over the whole run: white noise behind a low-pass of first order, held
+    constant over each step.
+    """
 
     rms: Given
     """Its rms, with the unit of the input."""
@@ -113,12 +133,16 @@ class Noise(Section):
 
 
 class Stimulus(Section):
-    """An input over time: steps at points in time, and what is added to them; one of u takes the place of the controller."""
+    """An input over time: steps at points in time, and what is added to them; one of u takes the
+    place of the controller.
+    """
 
     variable: str
     """Input of the plant (u, tau_load, load_scale) or of the controller (u_ff, reference_scale)."""
     points: list[tuple[Given, Given]] = Field(default=[], min_length=1)
-    """Pairs [time, value]: from this time on the input has this value; before the first it is 1 (the scales) or 0."""
+    """Pairs [time, value]: from this time on the input has this value; before the first it is 1
+    (the scales) or 0.
+    """
     sine: Sine | None = None
     """A sine that is added."""
     noise: Noise | None = None
@@ -137,7 +161,9 @@ class Record(LayoutTable):
     file: str
     """Path of the file (CSV, XLSX, MAT, NPZ, Parquet and others), relative to the scenario file."""
     velocity: Column | None = None
-    """Column of a velocity that was measured besides the position; without it, the position is differentiated."""
+    """Column of a velocity that was measured besides the position; without it, the position is
+    differentiated.
+    """
 
 
 class Validation(Section):
@@ -148,7 +174,9 @@ class Validation(Section):
     duration: Seconds = 100.0
     """Length of the second run."""
     baselines: bool = True
-    """Whether fitted viscous and Coulomb models, and the best fit of the identified law, are compared as well."""
+    """Whether fitted viscous and Coulomb models, and the best fit of the identified law, are
+    compared as well.
+    """
 
 
 class Check(Section):
@@ -169,10 +197,18 @@ class Check(Section):
     def _limited(self) -> Check:
         if self.min is None and self.max is None and self.max_abs is None:
             raise ValueError("no limit; give min, max or max_abs")
-        low = max(-math.inf if self.min is None else self.min, -math.inf if self.max_abs is None else -self.max_abs)
-        high = min(math.inf if self.max is None else self.max, math.inf if self.max_abs is None else self.max_abs)
+        low = max(
+            -math.inf if self.min is None else self.min,
+            -math.inf if self.max_abs is None else -self.max_abs,
+        )
+        high = min(
+            math.inf if self.max is None else self.max,
+            math.inf if self.max_abs is None else self.max_abs,
+        )
         if low > high:
-            raise ValueError(f"no number is at least {low:g} and at most {high:g}; correct the limits")
+            raise ValueError(
+                f"no number is at least {low:g} and at most {high:g}; correct the limits"
+            )
         return self
 
 
@@ -192,7 +228,9 @@ class Scenario(Section):
     duration: Seconds | None = None
     """Length of the run; required with [plant]."""
     step: Seconds = 1e-3
-    """Communication step: the interval at which all FMUs exchange values. The duration is a whole number of steps."""
+    """Communication step: the interval at which all FMUs exchange values. The duration is a whole
+    number of steps.
+    """
     plant: Plant | None = None
     """The servo; required unless [record] is given."""
     controller: Controller = Controller()
@@ -200,7 +238,9 @@ class Scenario(Section):
     observer: Observer
     """The adaptive observer under test."""
     sensor: Literal["clean", "encoder"] = "clean"
-    """What the observer reads: exact position and velocity, or counts of an encoder and their differences."""
+    """What the observer reads: exact position and velocity, or counts of an encoder and their
+    differences.
+    """
     controller_sensor: Literal["clean", "encoder"] = "clean"
     """What the controller reads."""
     stimuli: list[Stimulus] = Field(default=[])
@@ -210,8 +250,8 @@ class Scenario(Section):
     validation: Validation | None = None
     """A second run, on which the identified model is compared with others."""
     checks: list[Check] = Field(default=[], validate_default=True)
-    """The verdict: the scenario passes if all of them hold. Required with [plant]; a [record] without any passes if the
-    observer itself says that its estimates of alpha2 and b hold."""
+    """The verdict: the scenario passes if all of them hold. Required with [plant]; a [record]
+    without any passes if the observer itself says that its estimates of alpha2 and b hold."""
 
     @field_validator("checks", mode="before")
     @classmethod
@@ -231,20 +271,38 @@ class Scenario(Section):
     def _consistent(self) -> Scenario:
         if self.plant and self.record:
             raise ValueError("give either [plant] or [record], not both")
-        if self.record and (self.stimuli or self.validation or "controller" in self.model_fields_set):
-            raise ValueError("[record] replaces plant and controller; remove [controller], [[stimuli]] and [validation]")
+        if self.record and (
+            self.stimuli or self.validation or "controller" in self.model_fields_set
+        ):
+            raise ValueError(
+                "[record] replaces plant and controller; remove [controller], [[stimuli]] and"
+                " [validation]"
+            )
         if self.record and {"sensor", "controller_sensor"} & self.model_fields_set:
-            raise ValueError("[record] is what a sensor showed; remove sensor and controller_sensor")
+            raise ValueError(
+                "[record] is what a sensor showed; remove sensor and controller_sensor"
+            )
         if self.open_loop and (self.validation or "controller" in self.model_fields_set):
-            raise ValueError("a stimulus of u replaces the controller; remove [controller] and [validation]")
+            raise ValueError(
+                "a stimulus of u replaces the controller; remove [controller] and [validation]"
+            )
         if self.plant and self.duration is None:
             raise ValueError('duration is missing; write for example duration = "20 s"')
-        for key, part, choice in (("plant", self.plant, "law"), ("observer", self.observer, "method")):
+        for key, part, choice in (
+            ("plant", self.plant, "law"),
+            ("observer", self.observer, "method"),
+        ):
             if part is not None and (part.fmu is None) == (getattr(part, choice) is None):
-                raise ValueError(f"[{key}] needs either {choice} or fmu" + ("; both are given" if part.fmu else "; none is given"))
+                raise ValueError(
+                    f"[{key}] needs either {choice} or fmu"
+                    + ("; both are given" if part.fmu else "; none is given")
+                )
         if self.plant is not None and self.plant.fmu is not None and self.plant.effects:
             raise ValueError("[plant] effects join a law, and fmu is given; remove one of them")
-        for key, duration in (("duration", self.duration), ("validation.duration", self.validation and self.validation.duration)):
+        for key, duration in (
+            ("duration", self.duration),
+            ("validation.duration", self.validation and self.validation.duration),
+        ):
             if duration:
                 _steps(key, duration, self.step)
         return self
@@ -263,19 +321,38 @@ class Scenario(Section):
 def _steps(key: str, duration: float, step: float) -> None:
     count = duration / step
     if count < 1 or abs(count - round(count)) > 1e-6 * count:
-        raise ValueError(f"{key} = {duration:g} s is not a whole number of steps of {step:g} s; change one of them")
+        raise ValueError(
+            f"{key} = {duration:g} s is not a whole number of steps of {step:g} s; change one of"
+            " them"
+        )
     if count > LONGEST_RUN:
-        raise ValueError(f"{key} = {duration:g} s is {count:.0f} steps; allowed are {LONGEST_RUN}: shorten it or lengthen step")
+        raise ValueError(
+            f"{key} = {duration:g} s is {count:.0f} steps; allowed are {LONGEST_RUN}: shorten it or"
+            " lengthen step"
+        )
 
 
-# -- reading ---------------------------------------------------------------------------------------------------------
+# -- reading ---------------------------------------------------------------------------------------
 
 
 class Loaded:
     """A scenario with where it came from."""
 
-    def __init__(self, path: Path, text: str, scenario: Scenario, overrides: Sequence[str], notes: Sequence[str] = ()) -> None:
-        self.path, self.text, self.scenario, self.overrides, self.notes = path, text, scenario, list(overrides), list(notes)
+    def __init__(
+        self,
+        path: Path,
+        text: str,
+        scenario: Scenario,
+        overrides: Sequence[str],
+        notes: Sequence[str] = (),
+    ) -> None:
+        self.path, self.text, self.scenario, self.overrides, self.notes = (
+            path,
+            text,
+            scenario,
+            list(overrides),
+            list(notes),
+        )
 
     @property
     def name(self) -> str:
@@ -312,17 +389,29 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     return parse(path, text, tree, overrides, seed)
 
 
-def parse(path: Path, text: str, tree: dict[str, Any], overrides: Sequence[str] = (), seed: int | None = None) -> Loaded:
-    """Check a scenario file that has been read: its text, and its tree, which is changed; the rest as of `load`."""
+def parse(
+    path: Path,
+    text: str,
+    tree: dict[str, Any],
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+) -> Loaded:
+    """Check a scenario file that has been read: its text, and its tree, which is changed; the rest
+    as of `load`.
+    """
     if "friction" in tree and "output" in tree:
-        raise BristleError(f"{path}: is a model file, no scenario file; give it to bristle diagnose, with records")
+        raise BristleError(
+            f"{path}: is a model file, no scenario file; give it to bristle diagnose, with records"
+        )
     for part in PARAMETER_PARTS:
         _flatten_parameters(tree, part)
     for override in overrides:
         _override(tree, override)
     if seed is not None:
         if "record" in tree:
-            raise BristleError(f"{path}: seed {seed}: a [record] has no reference to seed; leave the seed out")
+            raise BristleError(
+                f"{path}: seed {seed}: a [record] has no reference to seed; leave the seed out"
+            )
         tree.setdefault("controller", {}).setdefault("parameters", {})["seed"] = seed
     notes = _new_record_keys(path, tree)
     try:
@@ -337,12 +426,18 @@ OLD_RECORD_KEYS = ("u", "theta", "v")  # of [record], before it had the tables o
 
 
 def _new_record_keys(path: Path, tree: dict[str, Any]) -> list[str]:
-    """Replace the deprecated keys of [record] by [record.input], [record.output] and [record.velocity]; say so, also as warning."""
+    """Replace the deprecated keys of [record] by [record.input], [record.output] and
+    [record.velocity]; say so, also as warning.
+    """
     section = tree.get("record")
     old = [key for key in OLD_RECORD_KEYS if isinstance(section, dict) and key in section]
     if not isinstance(section, dict) or not old:
         return []
-    kinds = {"u": ("input", "voltage"), "theta": ("output", "position"), "v": ("output", "velocity")}
+    kinds = {
+        "u": ("input", "voltage"),
+        "theta": ("output", "position"),
+        "v": ("output", "velocity"),
+    }
     new, written = {key: value for key, value in section.items() if key not in old}, []
     for key in old:
         name, kind = kinds[key]
@@ -350,7 +445,10 @@ def _new_record_keys(path: Path, tree: dict[str, Any]) -> list[str]:
             name, kind = "velocity", ""
         if name in section:
             raise mistake(
-                path, f"record.{key}", None, f"is the deprecated name of [record.{name}], which is given as well; remove it"
+                path,
+                f"record.{key}",
+                None,
+                f"is the deprecated name of [record.{name}], which is given as well; remove it",
             )
         given = section[key]
         new[name] = {**given, "kind": kind} if kind and isinstance(given, dict) else given
@@ -399,7 +497,10 @@ def _override(tree: dict[str, Any], override: str) -> None:
     path, separator, text = override.partition("=")
     keys = keys_of(path)
     if not separator or not keys:
-        raise BristleError(f"override '{override}': not path=value; write for example plant.parameters.J=0.002 kg.m2")
+        raise BristleError(
+            f"override '{override}': not path=value; write for example plant.parameters.J=0.002"
+            " kg.m2"
+        )
     if len(keys) > 2 and keys[0] in PARAMETER_PARTS and keys[1] == "parameters":
         keys = [*keys[:2], ".".join(keys[2:])]
     node: Any = tree
@@ -407,7 +508,10 @@ def _override(tree: dict[str, Any], override: str) -> None:
         last = depth == len(keys) - 1
         if isinstance(node, list):
             if not key.isdigit() or int(key) >= len(node):
-                raise BristleError(f"override '{override}': '{key}' is no index of a list of {len(node)}; count from 0")
+                raise BristleError(
+                    f"override '{override}': '{key}' is no index of a list of {len(node)}; count"
+                    " from 0"
+                )
             if last:
                 node[int(key)] = _parse(text.strip())
             node = node[int(key)]
@@ -416,4 +520,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
                 node[key] = _parse(text.strip())
             node = node.setdefault(key, {})
         else:
-            raise BristleError(f"override '{override}': '{'.'.join(keys[:depth])}' is a value, not a table; shorten the path")
+            raise BristleError(
+                f"override '{override}': '{'.'.join(keys[:depth])}' is a value, not a table;"
+                " shorten the path"
+            )

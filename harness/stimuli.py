@@ -1,4 +1,6 @@
-"""Stimuli: inputs of plant and controller over time, as steps, a sine and coloured noise in SI units, checked against the FMU."""
+"""Stimuli: inputs of plant and controller over time, as steps, a sine and coloured noise in SI
+units, checked against the FMU.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,10 @@ class Signal:
     @property
     def ports(self) -> tuple[Port, ...]:
         """The inputs that receive it: a voltage goes to the observer too."""
-        return tuple((unit, self.variable) for unit in (("plant", "observer") if self.variable == "u" else (self.unit,)))
+        return tuple(
+            (unit, self.variable)
+            for unit in (("plant", "observer") if self.variable == "u" else (self.unit,))
+        )
 
     @property
     def varying(self) -> bool:
@@ -65,7 +70,9 @@ class Signal:
             values[step:] = level
         if self.sine is not None:
             sine, amplitude = self.sine
-            values += amplitude * np.sin(2 * math.pi * sine.frequency * h * np.arange(count) + sine.phase)
+            values += amplitude * np.sin(
+                2 * math.pi * sine.frequency * h * np.arange(count) + sine.phase
+            )
         if self.noise is not None:
             noise, rms = self.noise
             values += rms * coloured(count, 2 * math.pi * noise.bandwidth * h, noise.seed)
@@ -74,11 +81,14 @@ class Signal:
     def settled(self) -> Signal:
         """Return it with its last level from the beginning."""
         level = self.levels[-1][1] if self.levels else self.start
-        return Signal(self.key, self.variable, self.unit, self.start, ((0, level),), self.sine, self.noise)
+        return Signal(
+            self.key, self.variable, self.unit, self.start, ((0, level),), self.sine, self.noise
+        )
 
 
 def coloured(count: int, corner: float, seed: int) -> Array:
-    """Return stationary noise of variance 1, shape (count,): x' = a x + sqrt(1 - a^2) n with n white and a = exp(-corner).
+    """Return stationary noise of variance 1, shape (count,): x' = a x + sqrt(1 - a^2) n with n
+    white and a = exp(-corner).
 
     Source: ljung1999 section 13.3 (filtered white noise).
     """
@@ -110,20 +120,39 @@ def _signals(loaded: Loaded, free: Free, h: float) -> Iterator[Signal]:
     for i, stimulus in enumerate(stimuli):
         key, name = f"stimuli[{i}]", stimulus.variable
         if name in [earlier.variable for earlier in stimuli[:i]]:
-            raise loaded.error(f"{key}.variable", name, "has a stimulus already; put all points into one")
+            raise loaded.error(
+                f"{key}.variable", name, "has a stimulus already; put all points into one"
+            )
         if name not in free:
             known = suggest(name, list(free))
-            message = f"no free input of plant or controller{known}; choose one of: {', '.join(free) or 'none'}"
+            message = (
+                f"no free input of plant or controller{known}; choose one of:"
+                f" {', '.join(free) or 'none'}"
+            )
             raise loaded.error(f"{key}.variable", name, message)
         unit, fmu = free[name]
         sine = noise = None
         if stimulus.sine is not None:
-            sine = (stimulus.sine, _size(loaded, f"{key}.sine.amplitude", stimulus.sine.amplitude, fmu.unit(name)))
+            sine = (
+                stimulus.sine,
+                _size(loaded, f"{key}.sine.amplitude", stimulus.sine.amplitude, fmu.unit(name)),
+            )
             _below_nyquist(loaded, f"{key}.sine.frequency", stimulus.sine.frequency, h)
         if stimulus.noise is not None:
-            noise = (stimulus.noise, _size(loaded, f"{key}.noise.rms", stimulus.noise.rms, fmu.unit(name)))
+            noise = (
+                stimulus.noise,
+                _size(loaded, f"{key}.noise.rms", stimulus.noise.rms, fmu.unit(name)),
+            )
             _below_nyquist(loaded, f"{key}.noise.bandwidth", stimulus.noise.bandwidth, h)
-        yield Signal(key, name, unit, fmu.start(name), tuple(_levels(loaded, key, stimulus, fmu, h)), sine, noise)
+        yield Signal(
+            key,
+            name,
+            unit,
+            fmu.start(name),
+            tuple(_levels(loaded, key, stimulus, fmu, h)),
+            sine,
+            noise,
+        )
 
 
 def _size(loaded: Loaded, key: str, given: str | int | float | bool, unit: str) -> float:
@@ -138,11 +167,19 @@ def _size(loaded: Loaded, key: str, given: str | int | float | bool, unit: str) 
 
 def _below_nyquist(loaded: Loaded, key: str, frequency: float, h: float) -> None:
     if frequency >= 0.5 / h:
-        raise loaded.error(key, f"{frequency:g} Hz", f"must be below {0.5 / h:g} Hz, half the rate of the steps; lower it")
+        raise loaded.error(
+            key,
+            f"{frequency:g} Hz",
+            f"must be below {0.5 / h:g} Hz, half the rate of the steps; lower it",
+        )
 
 
-def _levels(loaded: Loaded, at: str, stimulus: Stimulus, fmu: Fmu, h: float) -> Iterator[tuple[int, float]]:
-    """Yield the points: a value set at t is on the bus from the first step that starts at t or later."""
+def _levels(
+    loaded: Loaded, at: str, stimulus: Stimulus, fmu: Fmu, h: float
+) -> Iterator[tuple[int, float]]:
+    """Yield the points: a value set at t is on the bus from the first step that starts at t or
+    later.
+    """
     before = -math.inf
     for j, (when, what) in enumerate(stimulus.points):
         key = f"{at}.points[{j}]"
@@ -164,16 +201,34 @@ def _time(given: object) -> float:
 
 def events(signals: Sequence[Signal]) -> tuple[Event, ...]:
     """Return the signals that only change at points as events, in order of time."""
-    return tuple(sorted((step, port, value) for s in signals if not s.varying for step, value in s.levels for port in s.ports))
+    return tuple(
+        sorted(
+            (step, port, value)
+            for s in signals
+            if not s.varying
+            for step, value in s.levels
+            for port in s.ports
+        )
+    )
 
 
 def series(signals: Sequence[Signal], steps: int, h: float) -> dict[Port, Array]:
     """Return the signals that change at every step as recorded inputs, a value for each step."""
-    return {port: values for s in signals if s.varying for values in [s.values(steps, h)] for port in s.ports}
+    return {
+        port: values
+        for s in signals
+        if s.varying
+        for values in [s.values(steps, h)]
+        for port in s.ports
+    }
 
 
-def check_range(loaded: Loaded, free: Free, signals: Sequence[Signal], steps: int, h: float) -> None:
-    """Raise `BristleError` if what is added to the levels leaves the interval of the input within so many steps."""
+def check_range(
+    loaded: Loaded, free: Free, signals: Sequence[Signal], steps: int, h: float
+) -> None:
+    """Raise `BristleError` if what is added to the levels leaves the interval of the input within
+    so many steps.
+    """
     for signal in signals:
         fmu = free[signal.variable][1]
         low, high = fmu.interval(signal.variable)
@@ -182,5 +237,8 @@ def check_range(loaded: Loaded, free: Free, signals: Sequence[Signal], steps: in
         if len(beyond):
             unit = fmu.unit(signal.variable)
             reached = f"{beyond[0]:g}" + ("" if unit == "1" else f" {unit}")
-            message = f"reaches {reached}, outside {interval(low, high, unit)}; lower the sine or the noise"
+            message = (
+                f"reaches {reached}, outside {interval(low, high, unit)}; lower the sine or the"
+                " noise"
+            )
             raise loaded.error(signal.key, signal.variable, message)

@@ -1,10 +1,12 @@
-"""The store of a sweep: a folder of Parquet files, one a chunk of runs, each written whole or not at all.
+"""The store of a sweep: a folder of Parquet files, one a chunk of runs, each written whole or not
+at all.
 
     STORE/sweeps/<hash>.json    what was asked for: scenario, values that vary, seeds, FMUs, provenance
     STORE/runs/<hash>.parquet   one row a run; the hash is that of the keys of its runs
 
-The key of a run is the hash of all that decides its result: scenario, FMUs, options, version, values and seed. Files are only ever
-added, so several sweeps may write into one store at once; of a run that is there several times, one that is no error counts.
+The key of a run is the hash of all that decides its result: scenario, FMUs, options, version,
+values and seed. Files are only ever added, so several sweeps may write into one store at once; of a
+run that is there several times, one that is no error counts.
 """
 
 from __future__ import annotations
@@ -26,10 +28,13 @@ try:
     import pyarrow.dataset
     import pyarrow.parquet as pq
 except ImportError:
-    raise BristleError("store of a sweep: needs pyarrow; run: pip install 'bristle[parquet]'") from None
+    raise BristleError(
+        "store of a sweep: needs pyarrow; run: pip install 'bristle[parquet]'"
+    ) from None
 
 SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
-DESCRIBED = {"scenario", "scenario_sha256", "vary", "runs", "fmus", "provenance"}  # least that is known of a sweep
+# least that is known of a sweep
+DESCRIBED = {"scenario", "scenario_sha256", "vary", "runs", "fmus", "provenance"}
 ERROR_VERDICT = "error"
 ROW_NUMBER = f"row_number() OVER (PARTITION BY key ORDER BY verdict = '{ERROR_VERDICT}')"
 
@@ -53,12 +58,16 @@ class Store:
         if path.exists() and not path.is_dir():
             raise BristleError(f"{path}: is a file; give a folder for the store")
         if path.is_dir() and any(path.iterdir()) and not (path / SWEEPS).is_dir():
-            raise BristleError(f"{path}: is no store of bristle sweep, and not empty; give another folder")
+            raise BristleError(
+                f"{path}: is no store of bristle sweep, and not empty; give another folder"
+            )
 
     def require(self) -> None:
         """Raise `BristleError` if it holds no run."""
         if not self.files():
-            raise BristleError(f"{self.path}: no store, or one without runs; make one with bristle sweep")
+            raise BristleError(
+                f"{self.path}: no store, or one without runs; make one with bristle sweep"
+            )
 
     def files(self) -> list[Path]:
         """Return the files of runs."""
@@ -72,7 +81,10 @@ class Store:
         BristleError
             If one of their files is damaged.
         """
-        return sorted(map(_description, (self.path / SWEEPS).glob("*.json")), key=lambda each: str(each["provenance"]["date"]))
+        return sorted(
+            map(_description, (self.path / SWEEPS).glob("*.json")),
+            key=lambda each: str(each["provenance"]["date"]),
+        )
 
     def describe(self, name: str, content: Mapping[str, Any]) -> None:
         """Write what is asked for, and make the folders."""
@@ -91,28 +103,35 @@ class Store:
         try:
             with TemporaryFolder("chunk", self.path / RUNS) as folder:
                 with (Path(folder) / name).open("wb") as file:
-                    pq.write_table(table_of(rows), file, compression="zstd", write_page_checksum=True)
+                    pq.write_table(
+                        table_of(rows), file, compression="zstd", write_page_checksum=True
+                    )
                     file.flush()
                     os.fsync(file.fileno())
                 os.replace(Path(folder) / name, self.path / RUNS / name)
         except OSError as error:
             first = error.__context__
             if first is not None and not isinstance(first, Exception):
-                raise first from None  # an interrupt, after which the file could not be closed properly
+                # an interrupt, after which the file could not be closed properly
+                raise first from None
             raise self._full(error) from None
 
     def _full(self, error: OSError) -> BristleError:
         return BristleError(
-            f"store {self.path}: {error.strerror or error}; make room, then resume the sweep (finished chunks are kept)"
+            f"store {self.path}: {error.strerror or error}; make room, then resume the sweep"
+            " (finished chunks are kept)"
         )
 
     def _damaged(self, error: Exception) -> BristleError:
-        return BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it")
+        return BristleError(
+            f"store {self.path}: {_line(error)}; resume the sweep, which repairs it"
+        )
 
     def done(self) -> dict[str, str]:
         """Return the keys of the runs that are done, with their verdicts.
 
-        What ended in an error is not done; a file that is damaged is removed, and its runs count as not done.
+        What ended in an error is not done; a file that is damaged is removed, and its runs count as
+        not done.
 
         Raises
         ------
@@ -122,7 +141,8 @@ class Store:
         keys: dict[str, str] = {}
         for path in self.files():
             try:
-                found = pq.read_table(path, page_checksum_verification=True)  # all of it, so that all is verified
+                # all of it, so that all is verified
+                found = pq.read_table(path, page_checksum_verification=True)
             except (OSError, pa.ArrowException):
                 path.unlink(missing_ok=True)
                 continue
@@ -132,14 +152,18 @@ class Store:
         return keys
 
     def dataset(self) -> pyarrow.dataset.Dataset:
-        """Return all files as one, with all their columns; pages are compared with their checksums as they are read."""
+        """Return all files as one, with all their columns; pages are compared with their checksums
+        as they are read.
+        """
         self.require()
         try:
             schemas = [_must_have_runs(path, pq.read_schema(path)) for path in self.files()]
             schema = pa.unify_schemas(schemas, promote_options="permissive")
             checked = pyarrow.dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
             form = pyarrow.dataset.ParquetFileFormat(default_fragment_scan_options=checked)
-            return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format=form)
+            return pyarrow.dataset.dataset(
+                [str(path) for path in self.files()], schema=schema, format=form
+            )
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(error) from None
 
@@ -154,7 +178,9 @@ class Store:
         for row, key in enumerate(found["key"].to_pylist()):
             if key not in chosen or errors[chosen[key]]:
                 chosen[key] = row
-        return found.take(sorted(chosen.values())).sort_by([("sweep", "ascending"), ("run", "ascending")])
+        return found.take(sorted(chosen.values())).sort_by(
+            [("sweep", "ascending"), ("run", "ascending")]
+        )
 
     def query(self, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         """Return names of columns and rows of an SQL query on the table `runs`.
@@ -172,13 +198,20 @@ class Store:
         try:
             with duckdb.connect() as connection:
                 connection.register("files", dataset)
-                once = f"SELECT * EXCLUDE (_copy) FROM (SELECT *, {ROW_NUMBER} AS _copy FROM files) WHERE _copy = 1"
+                once = (
+                    f"SELECT * EXCLUDE (_copy) FROM (SELECT *, {ROW_NUMBER} AS _copy FROM files)"
+                    " WHERE _copy = 1"
+                )
                 connection.execute(f"CREATE VIEW runs AS {once}")
-                connection.execute("SET enable_external_access = false")  # a query reads runs, and neither reads nor writes files
+                # a query reads runs, and neither reads nor writes files
+                connection.execute("SET enable_external_access = false")
                 connection.execute("SET lock_configuration = true")
                 found: Any = connection.execute(sql)
                 if found is None:
-                    raise BristleError("query: says nothing; write for example SELECT verdict, count(*) FROM runs GROUP BY 1")
+                    raise BristleError(
+                        "query: says nothing; write for example SELECT verdict, count(*) FROM runs"
+                        " GROUP BY 1"
+                    )
                 return [str(column[0]) for column in found.description], found.fetchall()
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise BristleError(f"query: {_line(error)}") from None
@@ -191,7 +224,10 @@ def _description(path: Path) -> dict[str, Any]:
         if not found.keys() >= DESCRIBED:
             raise ValueError("entries are missing")
     except (OSError, ValueError, AttributeError) as error:
-        why = f"is damaged ({_line(error)}); make its sweep again with --resume, which writes it anew, or remove it"
+        why = (
+            f"is damaged ({_line(error)}); make its sweep again with --resume, which writes it"
+            " anew, or remove it"
+        )
         raise BristleError(f"{path}: {why}") from None
     return dict(found)
 
@@ -204,7 +240,9 @@ def _must_have_runs(path: Path, schema: pa.Schema) -> pa.Schema:
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Return rows as a table; a column has Booleans, whole numbers, numbers or text, and null where a row has none of it."""
+    """Return rows as a table; a column has Booleans, whole numbers, numbers or text, and null where
+    a row has none of it.
+    """
     names = dict.fromkeys(itertools.chain.from_iterable(rows))
     columns = {name: [row.get(name) for row in rows] for name in names}
     return pa.table({name: pa.array(values, _kind(values)) for name, values in columns.items()})

@@ -1,4 +1,6 @@
-"""Many runs of scenarios, by file, seed and values: which passed, and how each check came out over all of them."""
+"""Many runs of scenarios, by file, seed and values: which passed, and how each check came out over
+all of them.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
 
 @dataclass(frozen=True)
 class Case:
-    """One run: a scenario file, a seed of the reference if one is given, and values that differ from the file's."""
+    """One run: a scenario file, a seed of the reference if one is given, and values that differ
+    from the file's.
+    """
 
     path: Path
     seed: int | None = None
@@ -55,7 +59,8 @@ class Case:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What came of a case: verdict pass, fail or error; its checks as in result.json, or the message of the error.
+    """What came of a case: verdict pass, fail or error; its checks as in result.json, or the
+    message of the error.
 
     `origin` holds the SHA-256 of scenario file, FMUs and record.
     """
@@ -75,9 +80,11 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class CheckSummary:
-    """One limit of one check over all runs of a scenario: how often it held, median and worst value, and where that is.
+    """One limit of one check over all runs of a scenario: how often it held, median and worst
+    value, and where that is.
 
-    `count` includes the runs that came to no result, in which nothing held; median and worst value are of the others.
+    `count` includes the runs that came to no result, in which nothing held; median and worst value
+    are of the others.
     """
 
     name: str
@@ -92,15 +99,18 @@ class CheckSummary:
 
 
 def find_cases(
-    given: Sequence[Path], seeds: Sequence[int], values: Sequence[Sequence[str]], overrides: Sequence[str] = ()
+    given: Sequence[Path],
+    seeds: Sequence[int],
+    values: Sequence[Sequence[str]],
+    overrides: Sequence[str] = (),
 ) -> list[Case]:
     """Return a case for each scenario, combination of values and seed.
 
     Parameters
     ----------
     given : sequence of Path
-        Files, names from ``bristle list``, or folders, of which all scenario files are taken (without sub-folders); others are
-        logged.
+        Files, names from ``bristle list``, or folders, of which all scenario files are taken
+        (without sub-folders); others are logged.
     seeds : sequence of int
         Seeds of the reference; none: that of the file.
     values : sequence of sequence of str
@@ -111,7 +121,8 @@ def find_cases(
     Raises
     ------
     BristleError
-        If nothing is there to run, two files have one name, a path would have two values at once, or a value cannot name a folder.
+        If nothing is there to run, two files have one name, a path would have two values at once,
+        or a value cannot name a folder.
     """
     refuse_conflicts([of_key[0] for of_key in values if of_key], seeds, overrides)
     for of_key in values:
@@ -120,14 +131,24 @@ def find_cases(
     names = [path.stem for path in paths]
     for path in paths:
         if names.count(path.stem) > 1:
-            raise BristleError(f"{path}: a scenario '{path.stem}' is given twice; results are named by the file: rename one")
-    return [Case(p, s, v) for p in paths for v in itertools.product(*values) for s in (seeds or (None,))]
+            raise BristleError(
+                f"{path}: a scenario '{path.stem}' is given twice; results are named by the file:"
+                " rename one"
+            )
+    return [
+        Case(p, s, v) for p in paths for v in itertools.product(*values) for s in seeds or (None,)
+    ]
 
 
 def run_suite(
-    cases: Sequence[Case], out: Path, options: Options | None = None, jobs: int = 1, progress: Told | None = None
+    cases: Sequence[Case],
+    out: Path,
+    options: Options | None = None,
+    jobs: int = 1,
+    progress: Told | None = None,
 ) -> list[CaseResult]:
-    """Check all scenarios, run all cases and write their result folders; return what came of each, in the order of the cases.
+    """Check all scenarios, run all cases and write their result folders; return what came of each,
+    in the order of the cases.
 
     Parameters
     ----------
@@ -153,7 +174,9 @@ def run_suite(
     def keep(tested: CaseResult) -> None:
         found[tested.case] = tested
         if progress is not None:
-            progress(" ".join([tested.case.path.stem, tested.case.name]).strip(), len(found), len(cases))
+            progress(
+                " ".join([tested.case.path.stem, tested.case.name]).strip(), len(found), len(cases)
+            )
 
     work = partial(run_case, out=out, options=options)
     waiting = deque(cases)
@@ -169,7 +192,9 @@ def run_suite(
 
 
 def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
-    """Return each limit of each check over runs of one scenario; a value that is not finite is worse than any other."""
+    """Return each limit of each check over runs of one scenario; a value that is not finite is
+    worse than any other.
+    """
     lines: dict[tuple[str, str, str, float], list[tuple[float, bool, str]]] = {}
     for each in tested:
         for c in each.checks:
@@ -181,7 +206,11 @@ def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
         worst = max(values, key=lambda each: _badness(each[0], kind))
         median = statistics.median(abs(v) if kind == "max_abs" else v for v, _, _ in values)
         passed = sum(held for _, held, _ in values)
-        found.append(CheckSummary(name, quantity, kind, limit, passed, len(values) + lost, median, worst[0], worst[2]))
+        found.append(
+            CheckSummary(
+                name, quantity, kind, limit, passed, len(values) + lost, median, worst[0], worst[2]
+            )
+        )
     return found
 
 
@@ -199,7 +228,7 @@ def _badness(value: float, kind: str) -> float:
     return -value if kind == "min" else abs(value) if kind == "max_abs" else value
 
 
-# -- running -------------------------------------------------------------------------------------------------------------
+# -- running ---------------------------------------------------------------------------------------
 def _files(given: Path) -> list[Path]:
     """Return the scenario files that a path or a name stands for."""
     if not given.is_dir():
@@ -207,28 +236,44 @@ def _files(given: Path) -> list[Path]:
     inside = sorted(given.glob("*.toml"))
     found = [path for path in inside if is_scenario(path)]
     if not found:
-        raise BristleError(f"{given}: no scenario file in this folder; a scenario is a .toml file with a table [observer]")
+        raise BristleError(
+            f"{given}: no scenario file in this folder; a scenario is a .toml file with a table"
+            " [observer]"
+        )
     if others := [path.name for path in inside if path not in found]:
         told = "%s: left out %d of %d .toml files, which have no table [observer]: %s"
-        logging.getLogger("bristle").warning(told, given, len(others), len(inside), ", ".join(others))
+        logging.getLogger("bristle").warning(
+            told, given, len(others), len(inside), ", ".join(others)
+        )
     return found
 
 
 def _refuse_folders(of_key: Sequence[str]) -> None:
-    """Refuse values of a key that cannot name result folders, or of which two would name the same."""
+    """Refuse values of a key that cannot name result folders, or of which two would name the
+    same.
+    """
     taken: dict[str, str] = {}
     for given in of_key:
         name = _file_name(given)
         if len(name.encode()) > LONGEST_NAME:
-            what = f"its result folder would need a name of {len(name.encode())} bytes, allowed are {LONGEST_NAME}"
+            what = (
+                f"its result folder would need a name of {len(name.encode())} bytes, allowed are"
+                f" {LONGEST_NAME}"
+            )
             raise BristleError(f"vary '{given[:60]}...': {what}; give a shorter value")
-        other = taken.setdefault(name.casefold(), given)  # not all file systems tell capital letters
+        # not all file systems tell capital letters
+        other = taken.setdefault(name.casefold(), given)
         if other != given:
-            raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; leave one of them out")
+            raise BristleError(
+                f"vary '{given}': its result folder would be that of '{other}', {name}; leave one"
+                " of them out"
+            )
 
 
 def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
-    """Check each scenario with each combination of values, and build its FMUs; raise `BristleError` with all mistakes."""
+    """Check each scenario with each combination of values, and build its FMUs; raise `BristleError`
+    with all mistakes.
+    """
     mistakes = []
     for case in {replace(case, seed=case.seed and 1): case for case in cases}.values():
         try:
@@ -240,7 +285,11 @@ def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
 
 
 def _options(case: Case, options: Options) -> Options:
-    return replace(options, overrides=(*options.overrides, *case.values), seed=case.seed if case.seed is not None else options.seed)
+    return replace(
+        options,
+        overrides=(*options.overrides, *case.values),
+        seed=case.seed if case.seed is not None else options.seed,
+    )
 
 
 def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResult:
@@ -256,11 +305,17 @@ def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResul
         "fmus_sha256": {name: fmu["sha256"] for name, fmu in result["fmus"].items()},
         "record_sha256": result["record"]["sha256"] if "record" in result else None,
     }
-    return CaseResult(case, result["verdict"], tuple(result["checks"]), result["wall_s"], message, origin)
+    return CaseResult(
+        case, result["verdict"], tuple(result["checks"]), result["wall_s"], message, origin
+    )
 
 
-def _run_in_processes(waiting: deque[Case], jobs: int, work: Work, keep: Callable[[CaseResult], None]) -> None:
-    """Run cases, one a process at a time, until none waits any more or a process is killed; that loses those under way."""
+def _run_in_processes(
+    waiting: deque[Case], jobs: int, work: Work, keep: Callable[[CaseResult], None]
+) -> None:
+    """Run cases, one a process at a time, until none waits any more or a process is killed; that
+    loses those under way.
+    """
     count, broken = min(jobs, len(waiting)), False
     running: dict[Future[CaseResult], Case] = {}
     with _workers(count) as pool:
@@ -276,14 +331,18 @@ def _run_in_processes(waiting: deque[Case], jobs: int, work: Work, keep: Callabl
                 broken = broken or isinstance(future.exception(), BrokenProcessPool)
                 keep(_result(future, running.pop(future)))
         for child in multiprocessing.active_children() if broken else ():
-            child.kill()  # one that has just begun may ignore that the pool terminates it, if this process does
+            # one that has just begun may ignore that the pool terminates it, if this process does
+            child.kill()
 
 
 def _result(future: Future[CaseResult], case: Case) -> CaseResult:
     try:
         return future.result()
     except BrokenProcessPool:
-        message = f"{case.path}: was under way when a process of this suite was killed; run it again with fewer jobs"
+        message = (
+            f"{case.path}: was under way when a process of this suite was killed; run it again with"
+            " fewer jobs"
+        )
         return CaseResult(case, "error", message=message)
 
 
@@ -297,7 +356,9 @@ def _remove_empty(out: Path, cases: Sequence[Case]) -> None:
 
 @contextmanager
 def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes, which end with this one: an interrupt is for the process that waits for them."""
+    """Give a pool of processes, which end with this one: an interrupt is for the process that waits
+    for them.
+    """
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start_worker)
     try:
         yield pool
@@ -326,9 +387,12 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _start_worker() -> None:
-    """Leave interrupts to the parent process, and end with it, however that ends, or when it says so."""
+    """Leave interrupts to the parent process, and end with it, however that ends, or when it says
+    so.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # which the parent may ignore, and its children with it
+    # which the parent may ignore, and its children with it
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -1,6 +1,8 @@
-"""Many runs of one scenario, in chunks, into a store: by threads over the compiled loop, or by the workers of a Dask cluster.
+"""Many runs of one scenario, in chunks, into a store: by threads over the compiled loop, or by the
+workers of a Dask cluster.
 
-A chunk is computed by one function, `run_chunk`, wherever that is, so its digits do not depend on where or beside what it ran.
+A chunk is computed by one function, `run_chunk`, wherever that is, so its digits do not depend on
+where or beside what it ran.
 """
 
 from __future__ import annotations
@@ -52,12 +54,22 @@ Tell = Callable[[int, int], None]  # runs that are done, of how many
 CHUNK_RUNS = 1000  # of a large sweep: what a kill loses at most
 CHUNKS_A_JOB = 8  # at least, of a small one, so that all jobs end at about the same time
 WAIT = 0.2  # s between two looks at what is done
-KEPT_NUMBERS = ("adapted", "innovation", "tracking_rms", "estimates", "states", "tracking", "validation")  # of result.json
+# of result.json
+KEPT_NUMBERS = (
+    "adapted",
+    "innovation",
+    "tracking_rms",
+    "estimates",
+    "states",
+    "tracking",
+    "validation",
+)
 CLUSTER_ADDRESS = re.compile(r"[a-z]+://\S+:\d+")
 WINDOW = 64  # runs that are read and checked before they are simulated
 MOST_MISTAKES = 10  # lines about values that cannot be run
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of mallopt, as malloc.h numbers them
-LARGEST_KEPT = 1 << 25  # bytes of an array whose memory is kept: up to where the C library goes by itself
+# bytes of an array whose memory is kept: up to where the C library goes by itself
+LARGEST_KEPT = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -81,7 +93,8 @@ class Sweep:
     files : mapping of str to bytes
         The FMUs by their path, where the runs are made on another machine.
     lanes : bool
-        Simulate several runs in step where that can be: the same digits in less time, but for what it takes to begin.
+        Simulate several runs in step where that can be: the same digits in less time, but for what
+        it takes to begin.
     """
 
     path: Path
@@ -116,7 +129,9 @@ class Sweep:
 
 @dataclass
 class Summary:
-    """How a sweep ended: runs by verdict, the same of those that were there before, and the seconds it took."""
+    """How a sweep ended: runs by verdict, the same of those that were there before, and the seconds
+    it took.
+    """
 
     verdicts: dict[str, int]
     there: dict[str, int]
@@ -130,7 +145,14 @@ class Summary:
     @property
     def worst(self) -> str:
         """The worst verdict of all runs that were asked for."""
-        return next((word for word in (ERROR_VERDICT, "fail") if self.verdicts.get(word) or self.there.get(word)), "pass")
+        return next(
+            (
+                word
+                for word in (ERROR_VERDICT, "fail")
+                if self.verdicts.get(word) or self.there.get(word)
+            ),
+            "pass",
+        )
 
     @property
     def runs(self) -> int:
@@ -170,9 +192,19 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
     if mistakes:
         raise BristleError("\n".join(mistakes))
     version = provenance()["version"]
-    identity = digest(version, text, repr((options.fmi, options.kind, tuple(options.overrides))), *sorted(hashes))
-    asked = repr((design.asked, design.seeds, design.samples, design.sampling, design.sampling_seed))
-    return replace(empty, fmus=found, identity=identity, name=digest(identity, asked)[:24], lanes=design.runs >= RUNS_WORTH_IT)
+    identity = digest(
+        version, text, repr((options.fmi, options.kind, tuple(options.overrides))), *sorted(hashes)
+    )
+    asked = repr(
+        (design.asked, design.seeds, design.samples, design.sampling, design.sampling_seed)
+    )
+    return replace(
+        empty,
+        fmus=found,
+        identity=identity,
+        name=digest(identity, asked)[:24],
+        lanes=design.runs >= RUNS_WORTH_IT,
+    )
 
 
 def load_point(sweep: Sweep, point: Point) -> Loaded:
@@ -187,10 +219,15 @@ def _tree(text: str) -> dict[str, Any]:
 
 
 def parts_key(loaded: Loaded) -> str:
-    """Return what a scenario says of its FMUs, but for start values: where that is equal, the FMUs are."""
+    """Return what a scenario says of its FMUs, but for start values: where that is equal, the FMUs
+    are.
+    """
     scenario = loaded.scenario
     parts = (scenario.plant, None if scenario.open_loop else scenario.controller, scenario.observer)
-    return json.dumps([None if part is None else part.model_dump(exclude={"parameters"}) for part in parts], sort_keys=True)
+    return json.dumps(
+        [None if part is None else part.model_dump(exclude={"parameters"}) for part in parts],
+        sort_keys=True,
+    )
 
 
 def _record_hash(loaded: Loaded) -> set[str]:
@@ -203,7 +240,7 @@ def _record_hash(loaded: Loaded) -> set[str]:
         return set()  # the check that follows says what is wrong with it
 
 
-# -- one chunk -----------------------------------------------------------------------------------------------------------
+# -- one chunk -------------------------------------------------------------------------------------
 
 
 class Watcher:
@@ -229,8 +266,8 @@ class Watcher:
 def run_chunk(sweep: Sweep, points: Sequence[Point], watcher: Watcher | None = None) -> Rows:
     """Make some runs, one after the other, and return a row for each; fewer if it is stopped.
 
-    Runs with FMUs that may harm their process are made in a child process; if that dies, the runs are halved until the one that
-    kills it is found, which is an error.
+    Runs with FMUs that may harm their process are made in a child process; if that dies, the runs
+    are halved until the one that kills it is found, which is an error.
     """
     watcher = watcher or Watcher()
     here = _unpacked(sweep)
@@ -255,7 +292,10 @@ def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> R
             return []
         if len(points) > 1:
             half = len(points) // 2
-            return [*_isolated_rows(sweep, points[:half], watcher), *_isolated_rows(sweep, points[half:], watcher)]
+            return [
+                *_isolated_rows(sweep, points[:half], watcher),
+                *_isolated_rows(sweep, points[half:], watcher),
+            ]
         watcher.done += 1
         return [_row(sweep, points[0]) | _error(error)]
 
@@ -278,7 +318,9 @@ def _rows(sweep: Sweep, points: Sequence[Point], control: Control, watcher: Watc
 
 @dataclass
 class _Prepared:
-    """What is known of a run, the seconds it took so far, and, unless it cannot be made, the run as checked and its `parts_key`."""
+    """What is known of a run, the seconds it took so far, and, unless it cannot be made, the run as
+    checked and its `parts_key`.
+    """
 
     point: Point
     row: dict[str, Any]
@@ -304,14 +346,18 @@ def _error(error: BristleError) -> dict[str, Any]:
 
 
 class _Simulation:
-    """Simulates the runs of a chunk, in one thread: in lanes where that can be, each alone with its FMUs otherwise."""
+    """Simulates the runs of a chunk, in one thread: in lanes where that can be, each alone with its
+    FMUs otherwise.
+    """
 
     def __init__(self, sweep: Sweep, control: Control, slaves: Slaves) -> None:
         self._sweep, self._control, self._slaves = sweep, control, slaves
         self._together: dict[str, Together | None] = {}
 
     def each(self, points: Sequence[Point]) -> Iterator[tuple[_Prepared, Simulate]]:
-        """Yield each run with the function that simulates it, which is to be used before the next one is asked for."""
+        """Yield each run with the function that simulates it, which is to be used before the next
+        one is asked for.
+        """
         for begin in range(0, len(points), WINDOW):
             groups: dict[object, list[_Prepared]] = {}
             for point in points[begin : begin + WINDOW]:
@@ -348,13 +394,22 @@ class _Simulation:
 
     def _in_step(self, runs: Sequence[_Prepared], together: Together) -> Sequence[Trace | None]:
         begun = time.perf_counter()
-        traces = together.run([run.checked.bus for run in runs if run.checked is not None], self._control)
+        traces = together.run(
+            [run.checked.bus for run in runs if run.checked is not None], self._control
+        )
         spent = time.perf_counter() - begun
         for run in runs:
             run.seconds += spent / len(runs)
         return traces
 
-    def _alone(self, run: _Prepared, trace: Trace | None, bus: Bus, _progress: object = None, _timeout: object = None) -> Trace:
+    def _alone(
+        self,
+        run: _Prepared,
+        trace: Trace | None,
+        bus: Bus,
+        _progress: object = None,
+        _timeout: object = None,
+    ) -> Trace:
         """Return the trace that is there, for the bus that it is of; simulate any other."""
         if trace is not None and run.checked is not None and bus is run.checked.bus:
             return trace
@@ -372,21 +427,35 @@ def _judged(run: _Prepared, simulate_run: Simulate) -> dict[str, Any]:
         return row | _error(error) | {"wall_s": time.perf_counter() - begun}
     failed = [check["name"] for check in found["checks"] if not check["pass"]]
     verdict = {
-        "verdict": found["verdict"], "message": found["diverged"]["message"] if "diverged" in found else "",
-        "failed": "; ".join(failed), "checks": len(found["checks"]), "checks_passed": len(found["checks"]) - len(failed),
-        "steps": found["steps"], "wall_s": time.perf_counter() - begun,
-    }  # fmt: skip
+        "verdict": found["verdict"],
+        "message": found["diverged"]["message"] if "diverged" in found else "",
+        "failed": "; ".join(failed),
+        "checks": len(found["checks"]),
+        "checks_passed": len(found["checks"]) - len(failed),
+        "steps": found["steps"],
+        "wall_s": time.perf_counter() - begun,
+    }
     hashes = {f"sha256.{name}": fmu["sha256"] for name, fmu in found["fmus"].items()}
     numbers = _numbers({name: found[name] for name in KEPT_NUMBERS if name in found})
-    return row | verdict | hashes | {name: value for name, value in numbers.items() if name not in row}  # as given, if it varies
+    # as given, if it varies
+    return (
+        row | verdict | hashes | {name: value for name, value in numbers.items() if name not in row}
+    )
 
 
 def _row(sweep: Sweep, point: Point) -> dict[str, Any]:
     """Return what is known of a run before it is made."""
     return {
-        "key": sweep.key(point), "sweep": sweep.name, "run": point.index, "scenario": sweep.path.stem,
-        "scenario_sha256": sweep.sha256, "seed": point.seed, "command": sweep.command(point),
-    } | {axis.path: axis.value(each) for axis, each in zip(sweep.axes, point.overrides, strict=True)}  # fmt: skip
+        "key": sweep.key(point),
+        "sweep": sweep.name,
+        "run": point.index,
+        "scenario": sweep.path.stem,
+        "scenario_sha256": sweep.sha256,
+        "seed": point.seed,
+        "command": sweep.command(point),
+    } | {
+        axis.path: axis.value(each) for axis, each in zip(sweep.axes, point.overrides, strict=True)
+    }
 
 
 def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | bool | None]:
@@ -404,16 +473,20 @@ def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | boo
     return found
 
 
-# -- another machine -----------------------------------------------------------------------------------------------------
+# -- another machine -------------------------------------------------------------------------------
 
 
 def packed(sweep: Sweep) -> Sweep:
     """Return a sweep with its files, for a machine that does not have them."""
-    return replace(sweep, files={str(path): path.read_bytes() for path in {fmu.path for fmu in sweep.all_fmus}})
+    return replace(
+        sweep, files={str(path): path.read_bytes() for path in {fmu.path for fmu in sweep.all_fmus}}
+    )
 
 
 def _unpacked(sweep: Sweep) -> Sweep:
-    """Return a sweep whose files are on this machine; they are written, and read, once a process."""
+    """Return a sweep whose files are on this machine; they are written, and read, once a
+    process.
+    """
     if not sweep.files:
         return sweep
     with _unpacking:
@@ -421,21 +494,23 @@ def _unpacked(sweep: Sweep) -> Sweep:
             _keep_memory()
             places = _written(sweep.files)
             _found[sweep.name] = {
-                key: {name: _moved(fmu, places) for name, fmu in each.items()} for key, each in sweep.fmus.items()
+                key: {name: _moved(fmu, places) for name, fmu in each.items()}
+                for key, each in sweep.fmus.items()
             }
     return replace(sweep, fmus=_found[sweep.name], files={})
 
 
 _unpacking = threading.Lock()
-_found: dict[str, Mapping[str, dict[str, Fmu]]] = {}  # the FMUs of a sweep on this machine, by its name
+# the FMUs of a sweep on this machine, by its name
+_found: dict[str, Mapping[str, dict[str, Fmu]]] = {}
 _folders: list[TemporaryFolder] = []  # which live as long as the process
 
 
 def _keep_memory() -> None:
     """Let the C library keep what a run frees for the next one, as it does by itself.
 
-    Dask tells its workers to give memory back at once (MALLOC_TRIM_THRESHOLD_), so that each array of a run is mapped and cleared
-    by the system: a chunk takes half as long again.
+    Dask tells its workers to give memory back at once (MALLOC_TRIM_THRESHOLD_), so that each array
+    of a run is mapped and cleared by the system: a chunk takes half as long again.
     """
     if sys.platform != "linux":
         return
@@ -460,7 +535,7 @@ def _moved(fmu: Fmu, places: Mapping[str, Path]) -> Fmu:
     return Fmu(places[str(fmu.path)], fmu.foreign, aliases)
 
 
-# -- all chunks ----------------------------------------------------------------------------------------------------------
+# -- all chunks ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -485,7 +560,13 @@ class Means:
     command: str = ""
 
 
-def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = None, progress: Tell | None = None) -> Summary:
+def run_sweep(
+    sweep: Sweep,
+    design: Design,
+    store: Store,
+    means: Means | None = None,
+    progress: Tell | None = None,
+) -> Summary:
     """Make the runs of a sweep that the store does not have, chunk by chunk.
 
     Parameters
@@ -502,16 +583,24 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     Raises
     ------
     BristleError
-        If the store cannot be written, has runs and `resume` is not given, or the cluster cannot be reached.
+        If the store cannot be written, has runs and `resume` is not given, or the cluster cannot be
+        reached.
     """
     means = means or Means()
     if store.files() and not means.resume:
-        raise BristleError(f"{store.path}: has runs already; resume it to make those that are missing, or give another folder")
+        raise BristleError(
+            f"{store.path}: has runs already; resume it to make those that are missing, or give"
+            " another folder"
+        )
     if means.jobs < 1:
         raise BristleError(f"jobs {means.jobs}: give at least 1")
     begun, watcher = time.perf_counter(), Watcher()
     done = store.done() if means.resume else {}
-    there = Counter(done[key] for key in map(sweep.key, design.points()) if key in done) if done else Counter()
+    there = (
+        Counter(done[key] for key in map(sweep.key, design.points()) if key in done)
+        if done
+        else Counter()
+    )
     todo = (point for point in design.points() if sweep.key(point) not in done)
     total, verdicts = design.runs - there.total(), dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
     tell = progress or (lambda _done, _total: None)
@@ -519,15 +608,22 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
         described = _described(sweep, design, means.command)
         store.describe(sweep.name, {**described, "finished": False})
         size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
-        size = math.ceil(size / MOST_LANES) * MOST_LANES if sweep.lanes else size  # so that no lane is left over
-        for rows in _finished(submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
+        # so that no lane is left over
+        size = math.ceil(size / MOST_LANES) * MOST_LANES if sweep.lanes else size
+        for rows in _finished(
+            submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)
+        ):
             store.add(rows)
             for row in rows:
                 verdicts[row["verdict"]] += 1
             watcher.done = max(watcher.done, sum(verdicts.values()))
         store.describe(sweep.name, {**described, "finished": True})
     tell(total, total)
-    return Summary(verdicts, {word: there[word] for word in verdicts if word in there}, time.perf_counter() - begun)
+    return Summary(
+        verdicts,
+        {word: there[word] for word in verdicts if word in there},
+        time.perf_counter() - begun,
+    )
 
 
 def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:
@@ -537,7 +633,10 @@ def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:
 
 
 def _finished(
-    submit: Callable[[list[Point]], Future[Rows]], chunks: Iterator[list[Point]], most: int, look: Callable[[], None]
+    submit: Callable[[list[Point]], Future[Rows]],
+    chunks: Iterator[list[Point]],
+    most: int,
+    look: Callable[[], None],
 ) -> Iterator[Rows]:
     """Give the rows of each chunk when it is done, with a bounded number of them under way."""
     waiting = {submit(chunk) for _, chunk in zip(range(most), chunks, strict=False)}
@@ -550,8 +649,12 @@ def _finished(
 
 
 @contextmanager
-def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Callable[[list[Point]], Future[Rows]], int]]:
-    """Give what takes chunks, and how many it works on at once; leaving the context in an error stops all of them."""
+def _executor(
+    sweep: Sweep, means: Means, watcher: Watcher
+) -> Iterator[tuple[Callable[[list[Point]], Future[Rows]], int]]:
+    """Give what takes chunks, and how many it works on at once; leaving the context in an error
+    stops all of them.
+    """
     with ExitStack() as stack:
         if means.cluster is None:
             pool: Executor = stack.enter_context(ThreadPoolExecutor(means.jobs))
@@ -565,7 +668,10 @@ def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Ca
         client = stack.enter_context(_client(means.cluster))
         workers = sum(client.nthreads().values())
         if not workers:
-            raise BristleError(f"cluster {means.cluster}: has no workers; start some with dask worker {means.cluster}")
+            raise BristleError(
+                f"cluster {means.cluster}: has no workers; start some with dask worker"
+                f" {means.cluster}"
+            )
         shipped = client.scatter(packed(sweep), broadcast=True, hash=False)
         remote = client.get_executor(pure=False)
         try:
@@ -577,7 +683,10 @@ def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Ca
 
 def _client(address: str) -> Any:
     if CLUSTER_ADDRESS.fullmatch(address) is None:
-        raise BristleError(f"cluster {address}: is no address of a Dask scheduler; write for example tcp://host:8786")
+        raise BristleError(
+            f"cluster {address}: is no address of a Dask scheduler; write for example"
+            " tcp://host:8786"
+        )
     try:
         client: Any = import_module("distributed").Client
     except ImportError:
@@ -586,15 +695,25 @@ def _client(address: str) -> Any:
         return client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         line = " ".join(str(error).split()) or type(error).__name__
-        raise BristleError(f"cluster {address}: {line}; give the address of a Dask scheduler, such as tcp://host:8786") from None
+        raise BristleError(
+            f"cluster {address}: {line}; give the address of a Dask scheduler, such as"
+            " tcp://host:8786"
+        ) from None
 
 
 def _described(sweep: Sweep, design: Design, command: str) -> dict[str, Any]:
     fmus = dict.fromkeys(f"{fmu.path.name} {fmu.sha256}" for fmu in sweep.all_fmus)
     return {
-        "scenario": sweep.path.stem, "scenario_sha256": sweep.sha256, "text": sweep.text,
+        "scenario": sweep.path.stem,
+        "scenario_sha256": sweep.sha256,
+        "text": sweep.text,
         "vary": {axis.path: axis.meaning for axis in sweep.axes},
-        "runs": design.runs, "seeds": list(design.seeds), "samples": design.samples, "sampling": design.sampling,
-        "sampling_seed": design.sampling_seed, "options": plain(vars(sweep.options)), "fmus": list(fmus),
+        "runs": design.runs,
+        "seeds": list(design.seeds),
+        "samples": design.samples,
+        "sampling": design.sampling,
+        "sampling_seed": design.sampling_seed,
+        "options": plain(vars(sweep.options)),
+        "fmus": list(fmus),
         "provenance": {**provenance(), "command": command},
-    }  # fmt: skip
+    }

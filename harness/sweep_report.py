@@ -1,4 +1,6 @@
-"""The report of a store: verdicts, distributions of estimates, coverage of their intervals, and where runs fail."""
+"""The report of a store: verdicts, distributions of estimates, coverage of their intervals, and
+where runs fail.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.cache import digest
-from bristle.common.drawing import ESTIMATE, FAILED, GREY, REFERENCE_COLOUR, STYLE, new_figure, set_labels, set_title, svg
+from bristle.common.drawing import (
+    ESTIMATE,
+    FAILED,
+    GREY,
+    REFERENCE_COLOUR,
+    STYLE,
+    new_figure,
+    set_labels,
+    set_title,
+    svg,
+)
 from bristle.common.html import badge, figure, identifier, number, page, table, tally
 from bristle.harness.store import ERROR_VERDICT, Store
 
@@ -77,11 +89,17 @@ class Runs:
 
     def column(self, name: str) -> list[Any]:
         """Return a column, all null if there is none of that name."""
-        return self._table[name].to_pylist() if name in self._table.column_names else [None] * len(self)
+        return (
+            self._table[name].to_pylist()
+            if name in self._table.column_names
+            else [None] * len(self)
+        )
 
     def numbers(self, name: str) -> Array:
         """Return a column of numbers, not a number where there is none."""
-        return np.array([math.nan if value is None else float(value) for value in self.column(name)])
+        return np.array(
+            [math.nan if value is None else float(value) for value in self.column(name)]
+        )
 
     def share(self, chosen: NDArray[np.bool_] | None = None) -> Share:
         """Return how many of the chosen runs pass."""
@@ -97,7 +115,9 @@ class Runs:
 
     @property
     def varied(self) -> list[str]:
-        """What varies over the runs: the values that were asked for, and the seed, where there are several."""
+        """What varies over the runs: the values that were asked for, and the seed, where there are
+        several.
+        """
         asked = dict.fromkeys(itertools.chain.from_iterable(sweep["vary"] for sweep in self.sweeps))
         return [name for name in [*asked, "seed"] if len(set(self.column(name)) - {None}) > 1]
 
@@ -113,10 +133,13 @@ class Runs:
 
     @property
     def unfinished(self) -> list[str]:
-        """A line on each sweep that was not finished: its runs that are not in the store are missing here."""
+        """A line on each sweep that was not finished: its runs that are not in the store are
+        missing here.
+        """
         return [
-            f"the sweep of {sweep['runs']} runs of {sweep['scenario']} begun at {sweep['provenance']['date']} is not finished: the "
-            f"store has {len(self)} runs; resume it"
+            f"the sweep of {sweep['runs']} runs of {sweep['scenario']} begun at"
+            f" {sweep['provenance']['date']} is not finished: the store has {len(self)} runs;"
+            " resume it"
             for sweep in self.sweeps
             if not sweep.get("finished", True)
         ]
@@ -124,29 +147,48 @@ class Runs:
     @cached_property
     def versions(self) -> list[tuple[object, ...]]:
         """What decides each run beside its values and its seed: hashes of scenario and FMUs."""
-        hashes = ["scenario_sha256", *(name for name in self._table.column_names if name.startswith("sha256."))]
+        hashes = [
+            "scenario_sha256",
+            *(name for name in self._table.column_names if name.startswith("sha256.")),
+        ]
         return list(zip(*map(self.column, hashes), strict=True))
 
 
 def statistics(runs: Runs) -> list[dict[str, Any]]:
-    """Return, for each estimated parameter: valid runs, percentiles of the error in percent, and how often the interval holds.
+    """Return, for each estimated parameter: valid runs, percentiles of the error in percent, and
+    how often the interval holds.
 
-    The interval is the estimate with 1.96 of its own standard deviations to either side; it holds if the true value is in it.
+    The interval is the estimate with 1.96 of its own standard deviations to either side; it holds
+    if the true value is in it.
     """
     found = []
     for name in runs.parameters:
-        final, true, sd, error = (runs.numbers(f"estimates.{name}.{part}") for part in ("final", "true", "sd", "error_percent"))
+        final, true, sd, error = (
+            runs.numbers(f"estimates.{name}.{part}")
+            for part in ("final", "true", "sd", "error_percent")
+        )
         known = np.isfinite(error)
         told = np.isfinite(final) & np.isfinite(true) & np.isfinite(sd)
         holds = np.abs(final - true)[told] <= NORMAL_QUANTILE * sd[told]
-        estimated = np.array([value is not None for value in runs.column(f"estimates.{name}.valid")])
+        estimated = np.array(
+            [value is not None for value in runs.column(f"estimates.{name}.valid")]
+        )
         worst = int(np.nanargmax(np.abs(error))) if known.any() else None
-        found.append({
-            "parameter": name, "valid": Share(int(np.sum(np.isfinite(final))), int(np.sum(estimated))), "errors": error[known],
-            "percentiles": np.percentile(error[known], PERCENTILES) if known.any() else [math.nan] * len(PERCENTILES),
-            "worst": worst, "worst_error": math.nan if worst is None else float(error[worst]),
-            "coverage": Share(int(np.sum(holds)), int(np.sum(told))),
-        })  # fmt: skip
+        found.append(
+            {
+                "parameter": name,
+                "valid": Share(int(np.sum(np.isfinite(final))), int(np.sum(estimated))),
+                "errors": error[known],
+                "percentiles": (
+                    np.percentile(error[known], PERCENTILES)
+                    if known.any()
+                    else [math.nan] * len(PERCENTILES)
+                ),
+                "worst": worst,
+                "worst_error": math.nan if worst is None else float(error[worst]),
+                "coverage": Share(int(np.sum(holds)), int(np.sum(told))),
+            }
+        )
     return found
 
 
@@ -154,19 +196,28 @@ def summary(runs: Runs) -> dict[str, Any]:
     """Return the content of report.json: the figures of the report."""
 
     def share(each: Share) -> dict[str, Any]:
-        return {"count": each.count, "total": each.total, "interval95": list(each.interval) if each.total else None}
+        return {
+            "count": each.count,
+            "total": each.total,
+            "interval95": list(each.interval) if each.total else None,
+        }
 
     return {
-        "runs": len(runs), "unfinished": runs.unfinished,
-        "verdicts": dict(Counter(runs.verdict)), "pass": share(runs.share()), "failed_checks": _failed(runs),
+        "runs": len(runs),
+        "unfinished": runs.unfinished,
+        "verdicts": dict(Counter(runs.verdict)),
+        "pass": share(runs.share()),
+        "failed_checks": _failed(runs),
         "estimates": {
             each["parameter"]: {
-                "valid": share(each["valid"]), "error_percent": dict(zip(("p5", "p50", "p95"), each["percentiles"], strict=True)),
-                "worst_error_percent": each["worst_error"], "coverage95": share(each["coverage"]),
+                "valid": share(each["valid"]),
+                "error_percent": dict(zip(("p5", "p50", "p95"), each["percentiles"], strict=True)),
+                "worst_error_percent": each["worst_error"],
+                "coverage95": share(each["coverage"]),
             }
             for each in statistics(runs)
         },
-    }  # fmt: skip
+    }
 
 
 def render(runs: Runs) -> str:
@@ -175,19 +226,26 @@ def render(runs: Runs) -> str:
     head = tally(share.count, share.total, "runs pass")
     low, high = share.interval
     note = (
-        f"{100 * share.count / share.total:.1f} % pass; 95 % interval {100 * low:.1f} to {100 * high:.1f} % (Clopper and Pearson), "
-        "if the runs are independent draws: those of a grid are not."
+        f"{100 * share.count / share.total:.1f} % pass; 95 % interval {100 * low:.1f} to"
+        f" {100 * high:.1f} % (Clopper and Pearson), if the runs are independent draws: those of a"
+        " grid are not."
     )
     shown = _shown(runs)
     scenarios = ", ".join(dict.fromkeys(str(sweep["scenario"]) for sweep in runs.sweeps))
     title = f"<h1>Sweep of {escape(scenarios)} {head}</h1>"
-    missing = "".join(f"<p><b>{escape(line[0].upper() + line[1:])}.</b></p>" for line in runs.unfinished)
-    parts = [f"<header>{title}{missing}<p>{note}</p>{_mixed(runs)}</header>", _verdicts(runs), _estimates(runs, shown)]
+    missing = "".join(
+        f"<p><b>{escape(line[0].upper() + line[1:])}.</b></p>" for line in runs.unfinished
+    )
+    parts = [
+        f"<header>{title}{missing}<p>{note}</p>{_mixed(runs)}</header>",
+        _verdicts(runs),
+        _estimates(runs, shown),
+    ]
     parts += [_maps(runs, shown), _rows(runs, shown), _origin(runs)]
     return page(f"{share.count} of {share.total} runs pass", "\n".join(parts))
 
 
-# -- parts ---------------------------------------------------------------------------------------------------------------
+# -- parts -----------------------------------------------------------------------------------------
 
 
 def _failed(runs: Runs) -> dict[str, int]:
@@ -198,29 +256,52 @@ def _failed(runs: Runs) -> dict[str, int]:
 
 def _verdicts(runs: Runs) -> str:
     counts = Counter(runs.verdict)
-    rows = [(f"verdict {word}", f"{counts[word]}", Share(counts[word], len(runs)).text()) for word in OUTCOMES if counts[word]]
+    rows = [
+        (f"verdict {word}", f"{counts[word]}", Share(counts[word], len(runs)).text())
+        for word in OUTCOMES
+        if counts[word]
+    ]
     messages = Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
-    for what, count in [*((f"check fails: {name}", count) for name, count in _failed(runs).items()), *messages]:
+    for what, count in [
+        *((f"check fails: {name}", count) for name, count in _failed(runs).items()),
+        *messages,
+    ]:
         rows.append((identifier(what), f"{count}", Share(count, len(runs)).text()))
     return "<h2>Verdicts</h2>" + table(("", "runs", "share [95 % interval]"), rows, (1,))
 
 
 def _mixed(runs: Runs) -> str:
-    """Say so where runs of several versions of the scenario or of its FMUs are in the store, with the share of each."""
+    """Say so where runs of several versions of the scenario or of its FMUs are in the store, with
+    the share of each.
+    """
     counts = Counter(runs.versions)
     if len(counts) < 2:
         return ""
-    passed = Counter(version for version, word in zip(runs.versions, runs.verdict, strict=True) if word == "pass")
-    dates = {sweep["scenario_sha256"]: sweep["provenance"]["date"] for sweep in reversed(runs.sweeps)}
+    passed = Counter(
+        version for version, word in zip(runs.versions, runs.verdict, strict=True) if word == "pass"
+    )
+    dates = {
+        sweep["scenario_sha256"]: sweep["provenance"]["date"] for sweep in reversed(runs.sweeps)
+    }
     rows = []
     for version, count in counts.items():
         fmus = digest(*map(str, version[1:]))[:8]
         since = escape(str(dates.get(version[0], "")))
         rows.append(
-            (f"<code>{escape(str(version[0])[:8])}</code>", f"<code>{fmus}</code>", since, Share(passed[version], count).text())
+            (
+                f"<code>{escape(str(version[0])[:8])}</code>",
+                f"<code>{fmus}</code>",
+                since,
+                Share(passed[version], count).text(),
+            )
         )
-    note = f"<p>The runs are of {len(counts)} versions of the scenario or its FMUs; everything below is over all of them.</p>"
-    return note + table(("scenario, hash", "FMUs, hash", "first asked for", "runs that pass [95 % interval]"), rows)
+    note = (
+        f"<p>The runs are of {len(counts)} versions of the scenario or its FMUs; everything below"
+        " is over all of them.</p>"
+    )
+    return note + table(
+        ("scenario, hash", "FMUs, hash", "first asked for", "runs that pass [95 % interval]"), rows
+    )
 
 
 def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
@@ -229,22 +310,38 @@ def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
         return ""
     rows = [
         (
-            identifier(each["parameter"]), each["valid"].text(), *(number(float(value), 3) for value in each["percentiles"]),
-            _linked(runs, each["worst"], number(each["worst_error"], 3), shown), each["coverage"].text(),
+            identifier(each["parameter"]),
+            each["valid"].text(),
+            *(number(float(value), 3) for value in each["percentiles"]),
+            _linked(runs, each["worst"], number(each["worst_error"], 3), shown),
+            each["coverage"].text(),
         )
         for each in found
-    ]  # fmt: skip
-    head = ("parameter", "valid at the end", "error: 5th percentile, %", "median", "95th", "worst", "true value in the interval")
+    ]
+    head = (
+        "parameter",
+        "valid at the end",
+        "error: 5th percentile, %",
+        "median",
+        "95th",
+        "worst",
+        "true value in the interval",
+    )
     parts = ["<h2>Estimates</h2>", table(head, rows, (2, 3, 4, 5))]
     parts.append(
-        "<p>Errors are those of the final estimates, relative to the true values, of runs in which the observer calls them valid. "
-        "The last column should be 95 %: how often the true value lies within 1.96 standard deviations of the estimate, where the "
-        "observer gives one.</p>"
+        "<p>Errors are those of the final estimates, relative to the true values, of runs in which"
+        " the observer calls them valid. The last column should be 95 %: how often the true value"
+        " lies within 1.96 standard deviations of the estimate, where the observer gives one.</p>"
     )
     drawn = [each for each in found if len(each["errors"]) > 1]
     if drawn:
-        caption = f"Errors of the final estimates. {TAIL:g} % of the runs at either end lie outside what is drawn."
-        parts.append(figure("Distributions of the errors of the estimates", _histograms(drawn), caption))
+        caption = (
+            f"Errors of the final estimates. {TAIL:g} % of the runs at either end lie outside what"
+            " is drawn."
+        )
+        parts.append(
+            figure("Distributions of the errors of the estimates", _histograms(drawn), caption)
+        )
     return "\n".join(parts)
 
 
@@ -268,7 +365,9 @@ def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _shown(runs: Runs) -> NDArray[np.intp]:
-    """Return which runs the maps show: those that do not pass first, then passing ones drawn at random."""
+    """Return which runs the maps show: those that do not pass first, then passing ones drawn at
+    random.
+    """
     passed = np.array([verdict == "pass" for verdict in runs.verdict])
     draw = np.random.default_rng(MAP_SEED)
     failing, passing = draw.permutation(runs.index[~passed]), draw.permutation(runs.index[passed])
@@ -281,30 +380,53 @@ def _maps(runs: Runs, shown: NDArray[np.intp]) -> str:
     varied = runs.varied
     if not varied:
         return ""
-    mapped = [name for name in varied if name != "seed" and (runs.numeric(name) or len(set(runs.column(name))) <= MOST_WORDS)]
+    mapped = [
+        name
+        for name in varied
+        if name != "seed" and (runs.numeric(name) or len(set(runs.column(name))) <= MOST_WORDS)
+    ]
     parts = ["<h2>Where runs fail</h2>"]
-    rows = [(identifier(runs.label(name)), escape(text), each.text()) for name in varied for text, each in _groups(runs, name)]
+    rows = [
+        (identifier(runs.label(name)), escape(text), each.text())
+        for name in varied
+        for text, each in _groups(runs, name)
+    ]
     parts.append(table(("value", "", "runs that pass [95 % interval]"), rows))
     pairs = list(itertools.combinations(mapped, 2))[:MOST_MAPS]
     if pairs:
-        drawn = f"Places of {len(shown)} of {len(runs)} runs" if len(shown) < len(runs) else f"All {len(runs)} runs"
+        drawn = (
+            f"Places of {len(shown)} of {len(runs)} runs"
+            if len(shown) < len(runs)
+            else f"All {len(runs)} runs"
+        )
         caption = (
-            f"{drawn}. A point stands for all runs with these two values, whatever their seed and their other values; it leads to "
-            "the command that repeats one of them, which does not pass if any does not."
+            f"{drawn}. A point stands for all runs with these two values, whatever their seed and"
+            " their other values; it leads to the command that repeats one of them, which does not"
+            " pass if any does not."
         )
         if len(pairs) < len(mapped) * (len(mapped) - 1) // 2:
             caption += f" The first {MOST_MAPS} pairs of values."
-        parts.append(f'<figure class="inline">{_scatter(runs, pairs, shown)}<figcaption>{caption}</figcaption></figure>')
+        parts.append(
+            "<figure"
+            f' class="inline">{_scatter(runs, pairs, shown)}<figcaption>{caption}</figcaption></figure>'
+        )
     return "\n".join(parts)
 
 
 def _groups(runs: Runs, name: str) -> list[tuple[str, Share]]:
-    """Return the share of passing runs by value, or by interval of equal numbers of runs where there are many values."""
+    """Return the share of passing runs by value, or by interval of equal numbers of runs where
+    there are many values.
+    """
     values = runs.column(name)
     different = sorted(set(values) - {None})
     if len(different) <= BINS or not runs.numeric(name):
-        wanted = [(value, np.array([each == value for each in values])) for value in different[: 3 * BINS]]
-        return [(value if isinstance(value, str) else f"{value:.6g}", runs.share(chosen)) for value, chosen in wanted]
+        wanted = [
+            (value, np.array([each == value for each in values])) for value in different[: 3 * BINS]
+        ]
+        return [
+            (value if isinstance(value, str) else f"{value:.6g}", runs.share(chosen))
+            for value, chosen in wanted
+        ]
     if name == "seed":
         return []
     numbers = runs.numbers(name)
@@ -327,20 +449,31 @@ def _scatter(runs: Runs, pairs: Sequence[tuple[str, str]], shown: NDArray[np.int
         for place, (x, y) in enumerate(pairs, 1):
             ax = drawing.add_subplot(lines, columns, place)
             places = _places(runs, x, y, shown)
-            scale_x, scale_y = (_scale(runs, name, axis) for name, axis in ((x, ax.xaxis), (y, ax.yaxis)))
+            scale_x, scale_y = (
+                _scale(runs, name, axis) for name, axis in ((x, ax.xaxis), (y, ax.yaxis))
+            )
             for what, colour in PLACES.items():
                 chosen = [(at, run) for at, (said, run) in places.items() if said == what]
                 if chosen:
-                    across, up = [scale_x(at[0]) for at, _ in chosen], [scale_y(at[1]) for at, _ in chosen]
+                    across, up = (
+                        [scale_x(at[0]) for at, _ in chosen],
+                        [scale_y(at[1]) for at, _ in chosen],
+                    )
                     points = ax.scatter(across, up, 14, color=colour, label=what, linewidths=0)
                     points.set_urls([f"#run-{run}" for _, run in chosen])
             set_labels(ax, runs.label(x), runs.label(y))
-            ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderpad=0, handletextpad=0.2)
+            ax.legend(
+                loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderpad=0, handletextpad=0.2
+            )
         return svg(drawing, "maps")
 
 
-def _places(runs: Runs, x: str, y: str, shown: NDArray[np.intp]) -> dict[tuple[Any, Any], tuple[str, int]]:
-    """Return, for each pair of values of the runs shown, what all runs there do, and the one that is linked."""
+def _places(
+    runs: Runs, x: str, y: str, shown: NDArray[np.intp]
+) -> dict[tuple[Any, Any], tuple[str, int]]:
+    """Return, for each pair of values of the runs shown, what all runs there do, and the one that
+    is linked.
+    """
     there: dict[tuple[Any, Any], list[int]] = {}
     for run, at in enumerate(zip(runs.column(x), runs.column(y), strict=True)):
         there.setdefault(at, []).append(run)
@@ -350,14 +483,22 @@ def _places(runs: Runs, x: str, y: str, shown: NDArray[np.intp]) -> dict[tuple[A
         several = [run for run in members if run in listed]
         if several and None not in at:
             verdicts = {runs.verdict[run] for run in members}
-            said = "some pass" if "pass" in verdicts else "none passes" if "fail" in verdicts else ERROR_VERDICT
+            said = (
+                "some pass"
+                if "pass" in verdicts
+                else "none passes"
+                if "fail" in verdicts
+                else ERROR_VERDICT
+            )
             said = "all pass" if verdicts == {"pass"} else said
             found[at] = said, min(several, key=lambda run: (runs.verdict[run] == "pass", run))
     return found
 
 
 def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:
-    """Return where a value stands on an axis; texts stand side by side, in the order of the runs."""
+    """Return where a value stands on an axis; texts stand side by side, in the order of the
+    runs.
+    """
     if runs.numeric(name):
         return float
     words = list(dict.fromkeys(str(value) for value in runs.column(name) if value is not None))
@@ -367,12 +508,19 @@ def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:
 
 def _rows(runs: Runs, shown: NDArray[np.intp]) -> str:
     """List the runs of the maps with the commands that repeat them."""
-    commands, failed, messages = runs.column("command"), runs.column("failed"), runs.column("message")
+    commands, failed, messages = (
+        runs.column("command"),
+        runs.column("failed"),
+        runs.column("message"),
+    )
     rows = []
     for each in shown:
         verdict = runs.verdict[each]
         why = escape("; ".join(text for text in (failed[each], messages[each]) if text))
-        place = f'<span id="run-{each}">{runs.column("run")[each] if len(runs.sweeps) == 1 else each}</span>'
+        place = (
+            "<span"
+            f' id="run-{each}">{runs.column("run")[each] if len(runs.sweeps) == 1 else each}</span>'
+        )
         command = f"<code>{escape(str(commands[each]))}</code>"
         rows.append((place, badge("good" if verdict == "pass" else "bad", verdict), why, command))
     listed = table(("run", "", "what does not hold", "command that repeats it alone"), rows)
@@ -388,9 +536,18 @@ def _origin(runs: Runs) -> str:
     for sweep in runs.sweeps:
         origin = sweep["provenance"]
         told = {
-            "scenario": f"{sweep['scenario']} (sha256 {sweep['scenario_sha256'][:16]})", "command": origin["command"],
-            "asked for": f"{sweep['runs']} runs", "date": origin["date"], "version": f"{origin['version']}, {origin['platform']}",
+            "scenario": f"{sweep['scenario']} (sha256 {sweep['scenario_sha256'][:16]})",
+            "command": origin["command"],
+            "asked for": f"{sweep['runs']} runs",
+            "date": origin["date"],
+            "version": f"{origin['version']}, {origin['platform']}",
             "FMUs": ", ".join(sweep["fmus"]),
-        }  # fmt: skip
-        parts.append("<dl>" + "".join(f"<dt>{name}</dt><dd>{escape(str(value))}</dd>" for name, value in told.items()) + "</dl>")
+        }
+        parts.append(
+            "<dl>"
+            + "".join(
+                f"<dt>{name}</dt><dd>{escape(str(value))}</dd>" for name, value in told.items()
+            )
+            + "</dl>"
+        )
     return "\n".join(parts)

@@ -1,7 +1,9 @@
-"""Several runs of one scenario in step, each in a lane of the processor's vectors: the compiled loop over the programs of the FMUs.
+"""Several runs of one scenario in step, each in a lane of the processor's vectors: the compiled
+loop over the programs of the FMUs.
 
-The digits are those of the FMUs. A run in which anything is out of the ordinary (a step that an FMU would refuse, an estimate
-beyond all bounds) gives no trace here: it is made again alone, with its FMUs, which say what happened.
+The digits are those of the FMUs. A run in which anything is out of the ordinary (a step that an FMU
+would refuse, an estimate beyond all bounds) gives no trace here: it is made again alone, with its
+FMUs, which say what happened.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ def alike(bus: Bus) -> tuple[object, ...]:
 
 
 class Together:
-    """The programs behind the FMUs of a scenario, in lanes, for one thread: `run` may be called again and again.
+    """The programs behind the FMUs of a scenario, in lanes, for one thread: `run` may be called
+    again and again.
 
     Parameters
     ----------
@@ -58,7 +61,8 @@ class Together:
         list of Trace or None
             Of each bus, None where it must be run alone. Their values hold until the next call.
         """
-        bus, full = buses[0], [*buses, *[buses[-1]] * (self.width - len(buses))]  # lanes left over repeat the last run
+        # lanes left over repeat the last run
+        bus, full = buses[0], [*buses, *[buses[-1]] * (self.width - len(buses))]
         for instance in bus.instances:
             self._start(instance.name, full)
         shape = (len(full), bus.steps + 1, len(bus.record))
@@ -70,11 +74,23 @@ class Together:
         def flag(port: Port, lane: int) -> tuple[int, int, int]:
             return units.index(port[0]), self.lanes[port[0]].reference(port[1], lane), 0
 
-        compiled = Compiled(full, Memory(structures, self._address, lambda _port: 1.0, flag, self._values), control)
+        compiled = Compiled(
+            full, Memory(structures, self._address, lambda _port: 1.0, flag, self._values), control
+        )
         rows = compiled.run() + 1
-        sound = [all(self.lanes[name].alive(k) for name in units) and not compiled.diverged(k) for k in range(len(buses))]
+        sound = [
+            all(self.lanes[name].alive(k) for name in units) and not compiled.diverged(k)
+            for k in range(len(buses))
+        ]
         return [
-            Trace(bus.record, self._values[k, :rows], bus.h, Readings(bus.flags, *compiled.flags(k)), None, bus.start)
+            Trace(
+                bus.record,
+                self._values[k, :rows],
+                bus.h,
+                Readings(bus.flags, *compiled.flags(k)),
+                None,
+                bus.start,
+            )
             if sound[k]
             else None
             for k in range(len(buses))
@@ -84,10 +100,17 @@ class Together:
         """Initialise the lanes of a unit."""
         bus, lanes = buses[0], self.lanes[name]
         instances = [next(each for each in bus.instances if each.name == name) for bus in buses]
-        driven = [*(to for _, to in bus.links), *(to for each in buses for _, to, _ in each.events), *bus.series]
+        driven = [
+            *(to for _, to in bus.links),
+            *(to for each in buses for _, to, _ in each.events),
+            *bus.series,
+        ]
         inputs = dict.fromkeys(variable for unit, variable in driven if unit == name)
         limits = {variable: _finite(instances[0].fmu.interval(variable)) for variable in inputs}
-        values = [{key: float(value) for key, value in each.values.items() if key in lanes.program.index} for each in instances]
+        values = [
+            {key: float(value) for key, value in each.values.items() if key in lanes.program.index}
+            for each in instances
+        ]
         lanes.initialise(values, bus.start, limits)
 
     def _address(self, port: Port, lane: int) -> int:
@@ -106,7 +129,9 @@ def _lanes(setup: Setup, name: str) -> Lanes:
 
 
 def _unit(lanes: Lanes) -> Unit:
-    """Return what the compiled loop needs: its variables are read and set where they are, so a step is all it calls."""
+    """Return what the compiled loop needs: its variables are read and set where they are, so a step
+    is all it calls.
+    """
     get, step = lanes.function("lanes_get"), lanes.function("lanes_step")
     return Unit(lanes.address, 0, get, 0, 0, step, 2, 0, 0, 0, 0, 0, 0, 0, 0)
 

@@ -1,4 +1,6 @@
-"""The tube of a signal: how far repeated runs are from a reference in value and in time, times a safety factor."""
+"""The tube of a signal: how far repeated runs are from a reference in value and in time, times a
+safety factor.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +13,24 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 Array = NDArray[np.float64]
 
-SAFETY = 10.0  # allowed over measured deviation in value; benchmarks/results/baselines.md says how often less is too little
+# allowed over measured deviation in value; benchmarks/results/baselines.md says how often less is
+# too little
+SAFETY = 10.0
 SHIFT_SAFETY = 3  # the same in time: shifts are a few rows, and do not spread over decades
-TUBE_SHIFTS = (0, 1, 2, 4, 8, 16, 32)  # rows by which events may move, of which the narrowest tube is taken
+# rows by which events may move, of which the narrowest tube is taken
+TUBE_SHIFTS = (0, 1, 2, 4, 8, 16, 32)
 TUBE_BLOCKS = 200  # parts of a run, each with a spread of its own
 TUBE_NEIGHBOURS = 3  # such parts on either side whose spread counts too
 WRITTEN_SHARE = 1e-9  # of a value: signals.csv has ten digits
 LEAST_MARGIN = 1e-300  # of a signal that is 0 throughout
-EXACT_MARGIN = 1e-40  # a smaller one is that of a signal that is 0, in a baseline rounded to single precision
+# a smaller one is that of a signal that is 0, in a baseline rounded to single precision
+EXACT_MARGIN = 1e-40
 
 
 @dataclass(frozen=True)
 class Tube:
-    """Lower and upper bound of a signal, shape (n,) each; `shift` is the measured shift of events in rows.
+    """Lower and upper bound of a signal, shape (n,) each; `shift` is the measured shift of events
+    in rows.
 
     They mean nothing where the reference has no number.
     """
@@ -34,7 +41,9 @@ class Tube:
 
 
 class Spread:
-    """How far runs of one scenario are from a reference, collected run by run: per signal, shift and block the largest distance."""
+    """How far runs of one scenario are from a reference, collected run by run: per signal, shift
+    and block the largest distance.
+    """
 
     def __init__(self, reference: Mapping[str, Array]) -> None:
         self.reference = reference
@@ -46,7 +55,9 @@ class Spread:
         self._widths: dict[str, float] = {}
 
     def add(self, signals: Mapping[str, Array]) -> None:
-        """Take another run into account; where it has no number, nothing can be said of what is allowed."""
+        """Take another run into account; where it has no number, nothing can be said of what is
+        allowed.
+        """
         for name, expected in self.reference.items():
             got = signals.get(name)
             if got is None or len(got) != len(expected):
@@ -64,7 +75,8 @@ class Spread:
             distance[~np.isfinite(got)] = np.inf
             block = np.maximum.reduceat(distance, self.starts)
             self.worst[name][k] = np.maximum(self.worst[name][k], block)
-            if 2 * block.max() <= self._least_width(name, expected):  # a wider envelope gives no narrower tube
+            # a wider envelope gives no narrower tube
+            if 2 * block.max() <= self._least_width(name, expected):
                 self.worst[name][k + 1 :] = np.maximum(self.worst[name][k + 1 :], block)
                 break
 
@@ -89,11 +101,19 @@ class Spread:
                 break
         k = 0 if best is None else best[1]
         lower, upper = envelope(expected, SHIFT_SAFETY * self.shifts[k])
-        each = np.repeat(SAFETY * self._smoothed(name, k), np.diff(np.append(self.starts, len(expected))))
-        return Tube(lower - each - written_margin(lower), upper + each + written_margin(upper), self.shifts[k])
+        each = np.repeat(
+            SAFETY * self._smoothed(name, k), np.diff(np.append(self.starts, len(expected)))
+        )
+        return Tube(
+            lower - each - written_margin(lower),
+            upper + each + written_margin(upper),
+            self.shifts[k],
+        )
 
     def _smoothed(self, name: str, k: int) -> Array:
-        return np.asarray(maximum_filter1d(self.worst[name][k], 2 * TUBE_NEIGHBOURS + 1, mode="nearest"))
+        return np.asarray(
+            maximum_filter1d(self.worst[name][k], 2 * TUBE_NEIGHBOURS + 1, mode="nearest")
+        )
 
 
 def envelope(values: Array, shift: int) -> tuple[Array, Array]:
@@ -101,7 +121,9 @@ def envelope(values: Array, shift: int) -> tuple[Array, Array]:
     if not shift:
         return values, values
     size = 2 * shift + 1
-    return np.asarray(minimum_filter1d(values, size, mode="nearest")), np.asarray(maximum_filter1d(values, size, mode="nearest"))
+    return np.asarray(minimum_filter1d(values, size, mode="nearest")), np.asarray(
+        maximum_filter1d(values, size, mode="nearest")
+    )
 
 
 def written_margin(values: Array) -> Array:

@@ -22,8 +22,9 @@ def values_of(given: str, specs: str = SPECS) -> list[str]:
     Parameters
     ----------
     given : str
-        The path of a scenario's key, and ``a:b:n`` for n values from a to b or a list ``[v1, v2]``; a and b may be followed by one
-        unit, as in ``0.001:0.002:3 kg.m2``; in a list each value has its own, as in ``["1 ms", "2 ms"]`` or ``[1 ms, 2 ms]``.
+        The path of a scenario's key, and ``a:b:n`` for n values from a to b or a list ``[v1, v2]``;
+        a and b may be followed by one unit, as in ``0.001:0.002:3 kg.m2``; in a list each value has
+        its own, as in ``["1 ms", "2 ms"]`` or ``[1 ms, 2 ms]``.
     specs : str
         What an error says that a SPEC is.
 
@@ -48,23 +49,36 @@ def values_of(given: str, specs: str = SPECS) -> list[str]:
     try:
         first, last, count = float(found[1]), float(found[2]), int(found[3])
     except ValueError:
-        raise BristleError(f"vary '{given}': '{found[1]}' or '{found[2]}' is no number; write {specs}") from None
+        raise BristleError(
+            f"vary '{given}': '{found[1]}' or '{found[2]}' is no number; write {specs}"
+        ) from None
     if not (np.isfinite(first) and np.isfinite(last) and 1 <= count <= MOST_VALUES):
-        raise BristleError(f"vary '{given}': the ends must be finite, and n from 1 to {MOST_VALUES}")
+        raise BristleError(
+            f"vary '{given}': the ends must be finite, and n from 1 to {MOST_VALUES}"
+        )
     numbers = [f"{value:.12g}" for value in np.linspace(first, last, count)]
     return [f"{path}={number} {found[4]}" if found[4] else f"{path}={number}" for number in numbers]
 
 
 def refuse_conflicts(vary: Sequence[str], seeds: Sequence[int], overrides: Sequence[str]) -> None:
-    """Raise `BristleError` if a key would get two values at once: from two of `vary`, from a seed, or from an override."""
+    """Raise `BristleError` if a key would get two values at once: from two of `vary`, from a seed,
+    or from an override.
+    """
     names = [".".join(keys_of(given.partition("=")[0])) for given in vary]
     for given, name in zip(vary, names, strict=True):
         if names.count(name) > 1:
-            raise BristleError(f"vary '{given}': {name} is given twice; put all its values into one SPEC")
+            raise BristleError(
+                f"vary '{given}': {name} is given twice; put all its values into one SPEC"
+            )
         if name == SEED_PATH and seeds:
-            raise BristleError(f"vary '{given}': seeds are given as well, and are the same key; leave one of them out")
+            raise BristleError(
+                f"vary '{given}': seeds are given as well, and are the same key; leave one of"
+                " them out"
+            )
         if name in [".".join(keys_of(each.partition("=")[0])) for each in overrides]:
-            raise BristleError(f"vary '{given}': {name} is set for all runs as well; leave one of them out")
+            raise BristleError(
+                f"vary '{given}': {name} is set for all runs as well; leave one of them out"
+            )
 
 
 def seeds_of(given: str) -> list[int]:
@@ -73,22 +87,33 @@ def seeds_of(given: str) -> list[int]:
     for part in given.split(","):
         ends = re.fullmatch(r"\s*(\d{1,18})(?:-(\d{1,18}))?\s*", part)
         if ends is None:
-            raise BristleError(f"seeds '{given}': '{part}' is neither a seed nor a range; write for example 1-12 or 1,4,7-9")
+            raise BristleError(
+                f"seeds '{given}': '{part}' is neither a seed nor a range; write for example 1-12"
+                " or 1,4,7-9"
+            )
         first, last = int(ends[1]), int(ends[2] or ends[1])
         if first < 1 or last < first:
             raise BristleError(f"seeds '{given}': '{part}' must begin at 1 or more, and rise")
         if last - first >= MOST_VALUES:
-            raise BristleError(f"seeds '{given}': '{part}' is more than {MOST_VALUES} seeds at once; write several ranges")
+            raise BristleError(
+                f"seeds '{given}': '{part}' is more than {MOST_VALUES} seeds at once; write several"
+                " ranges"
+            )
         found += range(first, last + 1)
     return list(dict.fromkeys(found))
 
 
 def _listed(given: str, spec: str) -> list[str]:
     try:
-        values = [str(value).lower() if isinstance(value, bool) else str(value) for value in tomllib.loads(f"x = {spec}")["x"]]
+        values = [
+            str(value).lower() if isinstance(value, bool) else str(value)
+            for value in tomllib.loads(f"x = {spec}")["x"]
+        ]
     except (ValueError, TypeError, RecursionError):
         if '"' in spec or "'" in spec or "[" in spec[1:]:
-            raise BristleError(f"vary '{given}': '{spec}' is no list of TOML; put quotes around each text in it") from None
+            raise BristleError(
+                f"vary '{given}': '{spec}' is no list of TOML; put quotes around each text in it"
+            ) from None
         values = [part.strip() for part in spec.removeprefix("[").removesuffix("]").split(",")]
     if not values or not all(values) or not spec.endswith("]"):
         raise BristleError(f"vary '{given}': '{spec}' is no list; write [v1, v2]")

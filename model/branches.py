@@ -1,7 +1,8 @@
-"""Order the assignments of a kernel so that what only one branch of a condition needs is computed in that branch alone.
+"""Order the assignments of a kernel so that what only one branch of a condition needs is computed
+in that branch alone.
 
-An expression contains both cases of a condition, such as sliding on and reversing, each multiplied by it. The values are the
-same digit by digit with and without branches.
+An expression contains both cases of a condition, such as sliding on and reversing, each multiplied
+by it. The values are the same digit by digit with and without branches.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ MIN_BRANCH_OPERATIONS = 8  # fewest operations for which a branch is generated
 
 @dataclass(frozen=True)
 class Line:
-    """One assignment: name, its text, the names it needs; `condition` where it is `value` if that holds, otherwise 0."""
+    """One assignment: name, its text, the names it needs; `condition` where it is `value` if that
+    holds, otherwise 0.
+    """
 
     name: str
     text: str
@@ -26,15 +29,20 @@ class Line:
 
 @dataclass(frozen=True)
 class Branch:
-    """Lines computed only if a condition holds; those in `shown` are 0 otherwise, the others are not used outside."""
+    """Lines computed only if a condition holds; those in `shown` are 0 otherwise, the others are
+    not used outside.
+    """
 
     condition: str
     lines: tuple[Line | Branch, ...]
     shown: tuple[str, ...]
 
 
-def arranged(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()) -> list[Line | Branch]:
-    """Return the lines in an order that respects their needs, in branches where that saves operations.
+def arranged(
+    lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()
+) -> list[Line | Branch]:
+    """Return the lines in an order that respects their needs, in branches where that saves
+    operations.
 
     `wanted` are needed in any case; conditions that are `inside` hold already.
     """
@@ -53,16 +61,28 @@ def arranged(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[s
         else:
             condition, members = _next_branch(left, done, guards)
             names = {line.name for line in members}
-            shown = [name for name in (line.name for line in members) if name in wanted or not users[name] <= names]
-            out.append(Branch(condition, tuple(arranged(members, shown, inside | {condition})), tuple(shown)))
+            shown = [
+                name
+                for name in (line.name for line in members)
+                if name in wanted or not users[name] <= names
+            ]
+            out.append(
+                Branch(
+                    condition, tuple(arranged(members, shown, inside | {condition})), tuple(shown)
+                )
+            )
             plain = members
         done |= {line.name for line in plain}
         left = [line for line in left if line.name not in done]
     return out
 
 
-def _guards(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str]) -> dict[str, str]:
-    """Return the condition under which alone each line is needed: of several, the one that most lines have."""
+def _guards(
+    lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str]
+) -> dict[str, str]:
+    """Return the condition under which alone each line is needed: of several, the one that most
+    lines have.
+    """
     under: dict[str, set[str]] = {}
     for line in reversed(lines):
         mine = under.setdefault(line.name, set())
@@ -73,13 +93,23 @@ def _guards(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[st
             there = mine | {line.condition} - inside if as_value else mine
             under[need] = under[need] & there if need in under else set(there)
     most = Counter(condition for line in lines for condition in under[line.name])
-    guards = {line.name: max(mine, key=lambda c: (most[c], c)) for line in lines if (mine := under[line.name])}
+    guards = {
+        line.name: max(mine, key=lambda c: (most[c], c))
+        for line in lines
+        if (mine := under[line.name])
+    }
     size = Counter(guards.values())
-    return {name: condition for name, condition in guards.items() if size[condition] >= MIN_BRANCH_OPERATIONS}
+    return {
+        name: condition
+        for name, condition in guards.items()
+        if size[condition] >= MIN_BRANCH_OPERATIONS
+    }
 
 
 def _ready(left: Sequence[Line], done: set[str], names: Collection[str]) -> list[Line]:
-    """Return those of the named lines that need nothing but what is done and each other, in their order."""
+    """Return those of the named lines that need nothing but what is done and each other, in their
+    order.
+    """
     found, known, among = [], set(done), set(names)
     for line in left:
         if line.name in among and known.issuperset(line.needs):
@@ -88,14 +118,19 @@ def _ready(left: Sequence[Line], done: set[str], names: Collection[str]) -> list
     return found
 
 
-def _next_branch(left: Sequence[Line], done: set[str], guards: dict[str, str]) -> tuple[str, list[Line]]:
-    """Return the condition and the lines of the branch that comes next: a whole one if there is any, otherwise the longest."""
+def _next_branch(
+    left: Sequence[Line], done: set[str], guards: dict[str, str]
+) -> tuple[str, list[Line]]:
+    """Return the condition and the lines of the branch that comes next: a whole one if there is
+    any, otherwise the longest.
+    """
     groups: dict[str, list[str]] = defaultdict(list)
     for line in left:
         if line.name in guards and guards[line.name] in done:
             groups[guards[line.name]].append(line.name)
     ready = {condition: _ready(left, done, names) for condition, names in groups.items()}
     best = max(ready, key=lambda c: (len(ready[c]) == len(groups[c]), len(ready[c])), default="")
-    if not best or not ready[best]:  # a branch needs what another one computes, and the other way round
+    # a branch needs what another one computes, and the other way round
+    if not best or not ready[best]:
         raise AssertionError("the lines have no valid order")
     return best, ready[best]

@@ -1,4 +1,6 @@
-"""The C compiler: the machine's own, or zig from the extra `cross`, which also compiles for other platforms."""
+"""The C compiler: the machine's own, or zig from the extra `cross`, which also compiles for other
+platforms.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,25 @@ from pathlib import Path
 from bristle.common.cache import cache_folder, cached, digest
 from bristle.common.errors import BristleError
 
-# No fused multiply-add: all platforms and the generated Python then give the same digits.
-# No check of array bounds: loops run to the number of states of a variant, which -O3 wrongly suspects to exceed the arrays.
+# No fused multiply-add: all platforms and the generated Python then give the same digits. No check
+# of array bounds: loops run to the number of states of a variant, which -O3 wrongly suspects to
+# exceed the arrays.
 FLAGS = (
-    "-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
-    "-Wall", "-Wextra", "-Werror", "-Wno-array-bounds",
-)  # fmt: skip
+    "-std=c99",
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-Wno-array-bounds",
+)
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
 ENDING_INTERVAL = 0.01  # s, in which compilers that an interrupt must end are looked for
-# Shell: become the command, beside a process that ends the group of both when the standard input ends, with whoever holds it.
+# Shell: become the command, beside a process that ends the group of both when the standard input
+# ends, with whoever holds it.
 WATCHED = 'exec 3<&0 </dev/null; { read -r _ <&3; kill -KILL 0; } >/dev/null 2>&1 & exec "$@" 3<&-'
 
 
@@ -60,10 +71,14 @@ class Target:
 
     def flags(self) -> tuple[str, ...]:
         """Return the flags of a compilation; code for Windows is always position-independent."""
-        return (*FLAGS, *self.options) if self.system == "win32" else (*FLAGS, "-fPIC", *self.options)
+        return (
+            (*FLAGS, *self.options) if self.system == "win32" else (*FLAGS, "-fPIC", *self.options)
+        )
 
     def link_flags(self, name: str) -> tuple[str, ...]:
-        """Return the flags that link a library of this name; nothing in it may depend on when or where that was."""
+        """Return the flags that link a library of this name; nothing in it may depend on when or
+        where that was.
+        """
         if self.system == "darwin":
             return (f"-Wl,-install_name,@rpath/{name}{self.suffix}",)
         return () if self.system == "win32" else ("-Wl,--build-id=none", "-lm")
@@ -98,7 +113,9 @@ _toolchains: list[Toolchain] = []  # the last one is in use
 
 @contextmanager
 def compiled_with(toolchain: Toolchain) -> Iterator[None]:
-    """Compile for this machine with a toolchain inside the context; it is part of the name of all that is cached."""
+    """Compile for this machine with a toolchain inside the context; it is part of the name of all
+    that is cached.
+    """
     _toolchains.append(toolchain)
     _forget()
     try:
@@ -119,7 +136,8 @@ def _toolchain(triple: str) -> Toolchain:
 
 @lru_cache
 def find_compiler(triple: str = "") -> tuple[str, ...]:
-    """Return the command of a C compiler: $CC, cc, gcc, clang or zig; for a `triple`, that of another platform, zig.
+    """Return the command of a C compiler: $CC, cc, gcc, clang or zig; for a `triple`, that of
+    another platform, zig.
 
     Raises
     ------
@@ -130,7 +148,9 @@ def find_compiler(triple: str = "") -> tuple[str, ...]:
         return command
     zig = importlib.util.find_spec("ziglang") is not None
     if triple and not zig:
-        raise BristleError("other platforms need the compiler zig; run: pip install 'bristle[cross]'")
+        raise BristleError(
+            "other platforms need the compiler zig; run: pip install 'bristle[cross]'"
+        )
     if triple:
         return (sys.executable, "-m", "ziglang", "cc", "-target", triple)
     if given := os.environ.get("CC"):
@@ -143,7 +163,9 @@ def find_compiler(triple: str = "") -> tuple[str, ...]:
             return (path,)
     if zig:
         return _zig()
-    raise BristleError("no C compiler found (cc, gcc, clang); install one, or run: pip install 'bristle[cross]'")
+    raise BristleError(
+        "no C compiler found (cc, gcc, clang); install one, or run: pip install 'bristle[cross]'"
+    )
 
 
 def _zig() -> tuple[str, ...]:
@@ -161,7 +183,9 @@ def known_compilers() -> dict[str, tuple[str, ...]]:
 
 @lru_cache
 def compiler_identity(triple: str = "") -> str:
-    """Return what identifies a compiler: the command, and version or size and date of the program behind it, and added flags."""
+    """Return what identifies a compiler: the command, and version or size and date of the program
+    behind it, and added flags.
+    """
     command, flags = find_compiler(triple), " ".join(_toolchain(triple).flags)
     if "ziglang" in command:
         from importlib.metadata import version
@@ -172,7 +196,8 @@ def compiler_identity(triple: str = "") -> str:
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a compilation: zig keeps its cache in the cache folder and needs no home directory.
+    """Return the environment of a compilation: zig keeps its cache in the cache folder and needs no
+    home directory.
 
     Libraries for Windows hold the time at which they were linked, unless a fixed one is given.
     """
@@ -181,7 +206,9 @@ def _environment(folder: Path) -> dict[str, str]:
 
 
 def _included(text: str, sources: Mapping[str, str], found: dict[str, str]) -> dict[str, str]:
-    """Return those of the sources that a text includes, directly or through others; they are added to `found`."""
+    """Return those of the sources that a text includes, directly or through others; they are added
+    to `found`.
+    """
     for name in INCLUDE.findall(text):
         if name in sources and name not in found:
             found[name] = sources[name]
@@ -197,23 +224,46 @@ def _compiler(triple: str, arguments: Sequence[str], folder: Path) -> None:
     try:
         done = _run(command, folder)
     except subprocess.TimeoutExpired:
-        raise BristleError(f"C compiler {name} did not end within {TIMEOUT} s; check the compiler or set CC") from None
+        raise BristleError(
+            f"C compiler {name} did not end within {TIMEOUT} s; check the compiler or set CC"
+        ) from None
     if done.returncode != 0:
-        complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message")
-        raise BristleError(f"C compiler {name} failed: {complaint.strip()}; check the compiler or set CC")
+        complaint = next(
+            (line for line in done.stderr.splitlines() if "error" in line),
+            done.stderr.strip() or "no message",
+        )
+        raise BristleError(
+            f"C compiler {name} failed: {complaint.strip()}; check the compiler or set CC"
+        )
 
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder; where there is a shell, whatever it starts ends with this process, even if that is killed."""
+    """Run a command in a folder; where there is a shell, whatever it starts ends with this process,
+    even if that is killed.
+    """
     environment = _environment(folder)
     if sys.platform == "win32":
-        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+        return subprocess.run(
+            command,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=TIMEOUT,
+        )
     watched, held = _pipe()
     try:
         with subprocess.Popen(
-            ["/bin/sh", "-c", WATCHED, "sh", *command], stdin=watched, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            cwd=folder, env=environment, start_new_session=True,
-        ) as process:  # fmt: skip
+            ["/bin/sh", "-c", WATCHED, "sh", *command],
+            stdin=watched,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=folder,
+            env=environment,
+            start_new_session=True,
+        ) as process:
             try:
                 said, complained = process.communicate(timeout=TIMEOUT)
             finally:
@@ -227,7 +277,8 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
 def _pipe() -> tuple[int, FileIO]:
     """Return the end of a pipe that is read, and the one that a compiler lives by.
 
-    That one is a file and no number: once closed, a number may be that of the pipe of another thread's compiler.
+    That one is a file and no number: once closed, a number may be that of the pipe of another
+    thread's compiler.
     """
     watched, held = os.pipe()
     file = FileIO(held, "w")
@@ -243,7 +294,9 @@ def _end(pipe: FileIO) -> None:
 
 @contextmanager
 def _building(out: Path) -> Iterator[Path]:
-    """Give a folder to compile in, of its own beside `out`; what is `result` there at the end becomes `out`."""
+    """Give a folder to compile in, of its own beside `out`; what is `result` there at the end
+    becomes `out`.
+    """
     folder = out.with_name(out.name + ".build")
     folder.mkdir()
     try:
@@ -264,9 +317,10 @@ def _compile_unit(unit: str, files: Mapping[str, str], target: Target, out: Path
 def compile_shared(sources: Mapping[str, str], out: Path, target: Target = HOST) -> None:
     """Compile C sources (file name -> text) into the shared library `out`.
 
-    A unit is compiled once and kept in the cache by the text of all that it includes: the FMUs of both versions and the program
-    in this process share the equations, which take nearly all the time. Several are compiled at a time, each in a folder of its own
-    with relative names only, so that the result does not depend on where it is.
+    A unit is compiled once and kept in the cache by the text of all that it includes: the FMUs of
+    both versions and the program in this process share the equations, which take nearly all the
+    time. Several are compiled at a time, each in a folder of its own with relative names only, so
+    that the result does not depend on where it is.
 
     Raises
     ------
@@ -278,7 +332,11 @@ def compile_shared(sources: Mapping[str, str], out: Path, target: Target = HOST)
         for unit, made in zip(units, _each_of(partial(_made, sources, target), units), strict=True):
             shutil.copyfile(made, folder / f"{Path(unit).stem}.o")
         objects = [f"{Path(unit).stem}.o" for unit in units]
-        _compiler(target.triple, ["-shared", "-s", *objects, *target.link_flags(out.stem), "-o", "result"], folder)
+        _compiler(
+            target.triple,
+            ["-shared", "-s", *objects, *target.link_flags(out.stem), "-o", "result"],
+            folder,
+        )
 
 
 def _made(sources: Mapping[str, str], target: Target, unit: str) -> Path:
@@ -290,13 +348,16 @@ def _made(sources: Mapping[str, str], target: Target, unit: str) -> Path:
 
 
 def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
-    """Return the results for all units, as many at a time as there are cores; raise the first error if some fail."""
+    """Return the results for all units, as many at a time as there are cores; raise the first error
+    if some fail.
+    """
     with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
         made = [pool.submit(make, unit) for unit in units]
         try:
             return [each.result() for each in made]
         except Exception:
-            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun is not wanted any more
+            # what has not begun is not wanted any more
+            pool.shutdown(wait=False, cancel_futures=True)
             raise
         except (KeyboardInterrupt, SystemExit):  # they would be waited for
             pool.shutdown(wait=False, cancel_futures=True)

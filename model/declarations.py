@@ -1,4 +1,6 @@
-"""What holds for every declaration of a friction law, an effect or an observer; an error names the file."""
+"""What holds for every declaration of a friction law, an effect or an observer; an error names the
+file.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ __all__ = ["checked_declarations", "packaged_declaration", "packaged_declaration
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")  # of a law, an effect or an observer
 ENTRY = re.compile(r"^@\w+\{([^,\s]+),", re.MULTILINE)  # of a BibTeX file
-SOURCE_KEY = re.compile(r"\b[a-z]+(?:19|20)\d\d[a-z]?\b")  # what looks like a key of a source: name and year
+# what looks like a key of a source: name and year
+SOURCE_KEY = re.compile(r"\b[a-z]+(?:19|20)\d\d[a-z]?\b")
 
 
 class Part(Protocol):
@@ -51,9 +54,13 @@ P = TypeVar("P", bound=Part)
 
 
 def checked_declarations(
-    found: Iterable[CatalogueFile], attribute: str, kind: type[P], more: Callable[[Any, Mapping[str, P]], None] | None = None
+    found: Iterable[CatalogueFile],
+    attribute: str,
+    kind: type[P],
+    more: Callable[[Any, Mapping[str, P]], None] | None = None,
 ) -> dict[str, P]:
-    """Return what the files declare as `attribute`, by name in the order of the files, each declaration checked.
+    """Return what the files declare as `attribute`, by name in the order of the files, each
+    declaration checked.
 
     Parameters
     ----------
@@ -67,12 +74,16 @@ def checked_declarations(
     Raises
     ------
     BristleError
-        One line that names the file: a name, a unit, an interval or a source is wrong, or what `more` finds.
+        One line that names the file: a name, a unit, an interval or a source is wrong, or what
+        `more` finds.
     """
     found = list(found)
     declared = declarations(found, attribute, kind)
     plugins = {each.file for each in found if each.plugin}
-    by_name = {part.name: replace(part, file=file if file in plugins else "") for file, part in declared.items()}  # type: ignore[type-var]  # law, effect or method: each a dataclass
+    by_name = {
+        part.name: replace(part, file=file if file in plugins else "")
+        for file, part in declared.items()
+    }  # type: ignore[type-var]  # law, effect or method: each a dataclass
     for file, part in declared.items():
         with _naming(file, attribute):
             _check(part)
@@ -109,14 +120,23 @@ def packaged_declaration(
     """
     if name in own:
         title = packages_of(folder, name)
-        raise BristleError(f"{title}: {attribute} is called '{name}', as one that bristle has already; give it a name of its own")
+        raise BristleError(
+            f"{title}: {attribute} is called '{name}', as one that bristle has already; give it a"
+            " name of its own"
+        )
     value, file = load_offered(folder, name)
     part = value if isinstance(value, kind) else getattr(value, attribute, None)
     if not isinstance(part, kind):
-        raise BristleError(f"{file}: no {attribute} that is a {kind.__name__}; declare one, or correct the entry point '{name}'")
+        raise BristleError(
+            f"{file}: no {attribute} that is a {kind.__name__}; declare one, or correct the entry"
+            f" point '{name}'"
+        )
     with _naming(file, attribute):
         if part.name != name:
-            raise BristleError(f"declares '{part.name}', its entry point is called '{name}'; give both the same name")
+            raise BristleError(
+                f"declares '{part.name}', its entry point is called '{name}'; give both the same"
+                " name"
+            )
         _check(part)
         _check_sources(part, source_keys() | _keys(Path(file.rpartition(": ")[2]).parent))
         if more is not None:
@@ -131,7 +151,9 @@ def packaged_declarations(
     own: Mapping[str, P],
     more: Callable[[Any, Mapping[str, P]], None] | None = None,
 ) -> dict[str, P]:
-    """Return by name what installed packages declare (see `packaged_declaration`); a warning tells what is left out."""
+    """Return by name what installed packages declare (see `packaged_declaration`); a warning tells
+    what is left out.
+    """
     found = {}
     for name in offered(folder):
         try:
@@ -155,12 +177,17 @@ def _naming(file: str, attribute: str) -> Iterator[None]:
     except BristleError as error:
         raise BristleError(f"{file}: {error}") from None
     except (AttributeError, KeyError, TypeError, ValueError) as error:  # something of another type
-        raise BristleError(f"{file}: {attribute} is malformed: {type(error).__name__}: {error}; copy a shipped file") from error
+        raise BristleError(
+            f"{file}: {attribute} is malformed: {type(error).__name__}: {error}; copy a shipped"
+            " file"
+        ) from error
 
 
 def _check(part: Part) -> None:
     if NAME.fullmatch(part.name) is None:
-        raise BristleError(f"name '{part.name}': write lower-case letters, digits and _, with a letter first")
+        raise BristleError(
+            f"name '{part.name}': write lower-case letters, digits and _, with a letter first"
+        )
     for parameter in part.parameters:
         _check_parameter(part.name, parameter)
     for state in part.states:
@@ -173,7 +200,10 @@ def _check_parameter(owner: str, p: Parameter) -> None:
         raise BristleError(f"{where} must be called '{owner}.…'")
     _check_unit(where, p.unit)
     if not p.minimum <= p.default <= p.maximum:
-        raise BristleError(f"{where}: default {p.default:g} is outside [{p.minimum:g}, {p.maximum:g}] {p.unit}; correct one")
+        raise BristleError(
+            f"{where}: default {p.default:g} is outside [{p.minimum:g}, {p.maximum:g}] {p.unit};"
+            " correct one"
+        )
 
 
 def _check_unit(where: str, unit: str) -> None:
@@ -186,29 +216,47 @@ def _check_unit(where: str, unit: str) -> None:
 
 
 def _check_sources(part: Part, known: frozenset[str]) -> None:
-    for where, source in [("", part.source), *((f"parameter '{p.name}': ", p.source) for p in part.parameters)]:
+    for where, source in [
+        ("", part.source),
+        *((f"parameter '{p.name}': ", p.source) for p in part.parameters),
+    ]:
         keys = SOURCE_KEY.findall(source)
         unknown = [key for key in keys if key not in known]
         if unknown or not keys:
-            said = f"'{unknown[0]}' is no key{suggest(unknown[0], sorted(known))}" if unknown else "names no key"
+            said = (
+                f"'{unknown[0]}' is no key{suggest(unknown[0], sorted(known))}"
+                if unknown
+                else "names no key"
+            )
             remedy = (
-                "correct it, or add an entry to a references.bib in the folder of the plug-ins, or beside the module of a package"
+                "correct it, or add an entry to a references.bib in the folder of the plug-ins, or"
+                " beside the module of a package"
             )
             raise BristleError(f"{where}source '{source}': {said} of references.bib; {remedy}")
 
 
 def source_keys() -> frozenset[str]:
-    """Return the keys of references.bib, and of the files of this name in the folders of BRISTLE_PLUGINS."""
+    """Return the keys of references.bib, and of the files of this name in the folders of
+    BRISTLE_PLUGINS.
+    """
     return _own_keys().union(*(_keys(root) for root in plugin_roots()))
 
 
 def _keys(folder: Path) -> frozenset[str]:
     """Return the keys of the references.bib in a folder, which need not have one."""
     path = folder / "references.bib"
-    return frozenset(ENTRY.findall(path.read_text(encoding="utf-8"))) if path.is_file() else frozenset()
+    return (
+        frozenset(ENTRY.findall(path.read_text(encoding="utf-8")))
+        if path.is_file()
+        else frozenset()
+    )
 
 
 @cache
 def _own_keys() -> frozenset[str]:
-    """Return the keys of the references.bib of the library, from the list of them that is in the package."""
-    return frozenset(Path(str(files("bristle.model") / "source_keys.txt")).read_text(encoding="utf-8").split())
+    """Return the keys of the references.bib of the library, from the list of them that is in the
+    package.
+    """
+    return frozenset(
+        Path(str(files("bristle.model") / "source_keys.txt")).read_text(encoding="utf-8").split()
+    )

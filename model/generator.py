@@ -1,4 +1,6 @@
-"""A random generator that is exact in doubles, so that C and Python draw the same numbers, as expressions."""
+"""A random generator that is exact in doubles, so that C and Python draw the same numbers, as
+expressions.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def draw(s: SX) -> SX:
 
 
 def scrambled(seed: SX) -> SX:
-    """Return the start state of the generator, 1 ... MODULUS - 1; neighbouring seeds are far apart."""
+    """Return the start state of the generator, 1 ... MODULUS - 1; neighbouring seeds are far
+    apart.
+    """
     mixed = SEED_MULTIPLIER * ca.floor(seed) + SEED_OFFSET
     s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
     for _ in range(WARM_UP):
@@ -34,7 +38,9 @@ def scrambled(seed: SX) -> SX:
 
 
 def normal(s: SX) -> tuple[SX, SX]:
-    """Return a nearly Gaussian number of variance 1, the sum of 12 uniform ones, and the generator after it."""
+    """Return a nearly Gaussian number of variance 1, the sum of 12 uniform ones, and the generator
+    after it.
+    """
     total = SX(0)
     for _ in range(NORMAL_DRAWS):
         s = draw(s)

@@ -1,4 +1,6 @@
-"""Several instances of a program in step, one in each lane of the processor's vectors, with the digits of one alone."""
+"""Several instances of a program in step, one in each lane of the processor's vectors, with the
+digits of one alone.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,16 @@ from bristle.model.sources import fingerprint, lanes_sources
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME
 
 Array = NDArray[np.float64]
-TIMING = tuple(each.name for each in (SAMPLE_TIME, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # parameters that all lanes must share
-OWN_PROCESSOR = "-march=native"  # its widest vectors; without it where the compiler does not know the flag
+# parameters that all lanes must share
+TIMING = tuple(each.name for each in (SAMPLE_TIME, MAX_STEP, MAX_STEPS, FRICTION_STEP))
+# its widest vectors; without it where the compiler does not know the flag
+OWN_PROCESSOR = "-march=native"
 ANY_WIDTH = (
-    "-O2",  # compiles in three quarters of the time, as fast afterwards: of what is compiled for a few runs only
-    "-Wno-psabi",  # functions that pass wider vectors than the processor has are called in here only
+    # compiles in three quarters of the time, as fast afterwards: of what is compiled for a few runs
+    # only
+    "-O2",
+    # functions that pass wider vectors than the processor has are called in here only
+    "-Wno-psabi",
 )
 
 
@@ -41,7 +48,10 @@ class Lanes:
     """
 
     def __init__(self, program: Program, width: int = 0) -> None:
-        self.program, self.library = program, _compiled(program, (*ANY_WIDTH, f"-DLANES={width}") if width else ())
+        self.program, self.library = (
+            program,
+            _compiled(program, (*ANY_WIDTH, f"-DLANES={width}") if width else ()),
+        )
         self.width = int(self.library.lanes_width())
         self._reserve()
 
@@ -70,7 +80,12 @@ class Lanes:
         """Return by which number `lanes_get` knows a variable."""
         return self.program.index[name] * self.width + lane
 
-    def initialise(self, values: Sequence[Mapping[str, float]], time: float, driven: Mapping[str, tuple[float, float]]) -> None:
+    def initialise(
+        self,
+        values: Sequence[Mapping[str, float]],
+        time: float,
+        driven: Mapping[str, tuple[float, float]],
+    ) -> None:
         """Set each lane to its start.
 
         Parameters
@@ -80,7 +95,8 @@ class Lanes:
         time : float
             Start time [s].
         driven : mapping of str to (low, high)
-            Inputs that will be set; a lane fails where one is outside these limits, or is no number.
+            Inputs that will be set; a lane fails where one is outside these limits, or is no
+            number.
 
         Raises
         ------
@@ -93,18 +109,34 @@ class Lanes:
                 table[self.program.index[name], lane] = value
         for name in TIMING:
             if name in self.program.index and np.ptp(table[self.program.index[name]]):
-                raise BristleError(f"{self.program.name}: '{name}' differs between lanes; run those alone")
+                raise BristleError(
+                    f"{self.program.name}: '{name}' differs between lanes; run those alone"
+                )
         self.begin(table, time, driven)
 
-    def begin(self, table: Array, time: float = 0.0, driven: Mapping[str, tuple[float, float]] | None = None) -> None:
-        """Set the lanes to the start of a whole `table` (variables, lanes), in which parameters of `TIMING` are alike."""
+    def begin(
+        self,
+        table: Array,
+        time: float = 0.0,
+        driven: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
+        """Set the lanes to the start of a whole `table` (variables, lanes), in which parameters of
+        `TIMING` are alike.
+        """
         driven = driven or {}
         places = np.array([self.program.index[name] for name in driven], dtype=np.int32)
-        low, high = (np.array([pair[end] for pair in driven.values()], dtype=float) for end in (0, 1))
+        low, high = (
+            np.array([pair[end] for pair in driven.values()], dtype=float) for end in (0, 1)
+        )
         self.library.lanes_initialise(
-            ctypes.c_void_p(self.address), pointer(table), ctypes.c_double(time), len(places), pointer(places), pointer(low),
+            ctypes.c_void_p(self.address),
+            pointer(table),
+            ctypes.c_double(time),
+            len(places),
+            pointer(places),
+            pointer(low),
             pointer(high),
-        )  # fmt: skip
+        )
 
     def alive(self, lane: int) -> bool:
         """Say whether a lane has come so far without a failure."""
@@ -116,7 +148,9 @@ class Lanes:
 
 
 def _compiled(program: Program, options: tuple[str, ...]) -> ctypes.CDLL:
-    """Compile a program for the processor of this machine (or take it from the cache) and load it."""
+    """Compile a program for the processor of this machine (or take it from the cache) and load
+    it.
+    """
     try:
         return _library(program, Target(options=(OWN_PROCESSOR, *options)))
     except BristleError:  # a compiler that does not know this flag
@@ -126,7 +160,9 @@ def _compiled(program: Program, options: tuple[str, ...]) -> ctypes.CDLL:
 def _library(program: Program, target: Target) -> ctypes.CDLL:
     key = digest(*target.flags(), compiler_identity(), _processor(), *fingerprint(program))
     name = f"{program.name}-lanes-{key[:24]}{SUFFIX}"
-    return ctypes.CDLL(str(cached(name, lambda out: compile_shared(lanes_sources(program), out, target))))
+    return ctypes.CDLL(
+        str(cached(name, lambda out: compile_shared(lanes_sources(program), out, target)))
+    )
 
 
 @lru_cache(maxsize=1)

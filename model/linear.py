@@ -10,8 +10,9 @@ SX = ca.SX
 class Elimination:
     """LU factors of a symbolic matrix without pivoting, in the given order of unknowns.
 
-    The matrices met here are I/(h gamma) - A with a small h, whose diagonal dominates, so that no pivoting is needed;
-    zeros are skipped, so that the generated code is as short as the equations are sparse.
+    The matrices met here are I/(h gamma) - A with a small h, whose diagonal dominates, so that no
+    pivoting is needed; zeros are skipped, so that the generated code is as short as the equations
+    are sparse.
     """
 
     def __init__(self, matrix: SX) -> None:
@@ -36,7 +37,9 @@ class Elimination:
         return y
 
     def backward(self, y: list[SX], last: SX | None = None) -> SX:
-        """Return U^-1 y; `last`, where given, is taken as the last unknown instead of being solved for."""
+        """Return U^-1 y; `last`, where given, is taken as the last unknown instead of being solved
+        for.
+        """
         x = list(y)
         for i in reversed(range(self.n)):
             if i == self.n - 1 and last is not None:

@@ -52,12 +52,19 @@ class Native:
         Values of parameters and start values of inputs, SI; checked against their intervals.
     """
 
-    def __init__(self, program: Program, parameters: Mapping[str, float] | None = None, variant: str | None = None) -> None:
+    def __init__(
+        self,
+        program: Program,
+        parameters: Mapping[str, float] | None = None,
+        variant: str | None = None,
+    ) -> None:
         self.program, self.library = program, compile_program(program)
         self.core = ctypes.create_string_buffer(self.library.batch_size() + 64)
         names = [a.system.name for a in program.variants]
         if variant is not None and variant not in names:
-            raise BristleError(f"'{variant}' is no variant of {program.name}; known: {', '.join(names)}")
+            raise BristleError(
+                f"'{variant}' is no variant of {program.name}; known: {', '.join(names)}"
+            )
         self.variant = program.variants[names.index(variant) if variant else program.chosen]
         self._v = np.array(program.starts)
         if program.selector:
@@ -67,12 +74,17 @@ class Native:
                 self.variant.system.parameters[name].check(value)
             elif name not in self.variant.system.inputs:
                 known = ", ".join([*self.variant.system.parameters, *self.variant.system.inputs])
-                raise BristleError(f"'{name}' is no parameter of {program.name} ({self.variant.system.name}); known: {known}")
+                raise BristleError(
+                    f"'{name}' is no parameter of {program.name} ({self.variant.system.name});"
+                    f" known: {known}"
+                )
             self._v[program.index[name]] = value
         self.reset()
 
     def twin(self) -> Native:
-        """Return another instance of the same compiled program, with its own state: both may run at the same time."""
+        """Return another instance of the same compiled program, with its own state: both may run at
+        the same time.
+        """
         other = copy(self)
         other.core = ctypes.create_string_buffer(len(self.core))
         other.reset()
@@ -83,12 +95,19 @@ class Native:
         self.initialise(self._v, time)
 
     def initialise(self, values: Array, time: float = 0.0) -> None:
-        """Replace parameters, inputs and time by those of a variable table and set all states to their start values."""
-        self._check(self.library.batch_initialise(self.core, pointer(values), ctypes.c_double(time)), time)
+        """Replace parameters, inputs and time by those of a variable table and set all states to
+        their start values.
+        """
+        self._check(
+            self.library.batch_initialise(self.core, pointer(values), ctypes.c_double(time)), time
+        )
 
     def _check(self, code: int, time: float) -> None:
         if code:
-            raise SimulationError(f"{self.program.name} at {time:g} s: {self.library.batch_message(code).decode()}", time)
+            raise SimulationError(
+                f"{self.program.name} at {time:g} s: {self.library.batch_message(code).decode()}",
+                time,
+            )
 
     @property
     def steps(self) -> int:
@@ -108,14 +127,20 @@ class Native:
 
     def advance(self, h: float) -> None:
         """Do one communication step."""
-        self._check(self.library.batch_advance(self.core, ctypes.c_double(h)), float(self.values[0]))
+        self._check(
+            self.library.batch_advance(self.core, ctypes.c_double(h)), float(self.values[0])
+        )
 
     @cached_property
     def _sensitivity_shape(self) -> tuple[int, int]:
         return len(self.variant.states), len(self.program.sensitivities)
 
     def run(
-        self, h: float, inputs: Mapping[str, Array], record: Sequence[str], sensitivities: bool = False
+        self,
+        h: float,
+        inputs: Mapping[str, Array],
+        record: Sequence[str],
+        sensitivities: bool = False,
     ) -> tuple[Array, Array | None]:
         """Simulate as many steps of length h as the inputs have values, from the present state.
 
@@ -124,17 +149,22 @@ class Native:
         record : ndarray, shape (n + 1, len(record))
             The named variables at the start of each step and at the end.
         sensitivities : ndarray, shape (n + 1, states, parameters), or None
-            Derivatives of the continuous states by the program's chosen parameters, exact for the steps taken
-            where no mode switches. A switch is located to `solver.tolerance` and its derivative taken as if the step ended
-            there: those of gms and leuven hold to about 1e-6 at the default tolerance, and are off by tens of percent at 1e-2.
-            Start values are taken as independent of the parameters.
+            Derivatives of the continuous states by the program's chosen parameters, exact for the
+            steps taken where no mode switches. A switch is located to `solver.tolerance` and its
+            derivative taken as if the step ended there: those of gms and leuven hold to about 1e-6
+            at the default tolerance, and are off by tens of percent at 1e-2. Start values are taken
+            as independent of the parameters.
 
         Raises
         ------
         SimulationError
             If the simulation cannot go on; its `time` is where it stopped.
         """
-        table = np.column_stack([np.asarray(x, dtype=float) for x in inputs.values()]) if inputs else np.empty((0, 0))
+        table = (
+            np.column_stack([np.asarray(x, dtype=float) for x in inputs.values()])
+            if inputs
+            else np.empty((0, 0))
+        )
         n, index = len(table), self.program.index
         places = np.array([index[name] for name in inputs], dtype=np.int32)
         recorded = np.array([index[name] for name in record], dtype=np.int32)
@@ -142,10 +172,18 @@ class Native:
         sens = np.empty((n + 1, *self._sensitivity_shape)) if sensitivities else None
         code = ctypes.c_int(0)
         done = self.library.batch_run(
-            self.core, ctypes.c_longlong(n), ctypes.c_double(h), len(places), pointer(places),
-            pointer(np.ascontiguousarray(table)), len(recorded), pointer(recorded), pointer(out), pointer(sens),
+            self.core,
+            ctypes.c_longlong(n),
+            ctypes.c_double(h),
+            len(places),
+            pointer(places),
+            pointer(np.ascontiguousarray(table)),
+            len(recorded),
+            pointer(recorded),
+            pointer(out),
+            pointer(sens),
             ctypes.byref(code),
-        )  # fmt: skip
+        )
         self._check(code.value, done * h)
         return out, sens
 

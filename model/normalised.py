@@ -1,4 +1,6 @@
-"""The normalised parameters of a servo: the true values that a plant publishes, and what an observer estimates."""
+"""The normalised parameters of a servo: the true values that a plant publishes, and what an
+observer estimates.
+"""
 
 from __future__ import annotations
 

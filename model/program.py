@@ -1,8 +1,10 @@
-"""`Program`: one table of variables `v[]` for one or several systems, and the functions that work on it.
+"""`Program`: one table of variables `v[]` for one or several systems, and the functions that work
+on it.
 
-The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws, observer methods)
-share the table; each has its own functions, and a selector parameter chooses the variant at initialisation. For hosts that
-cannot set an enumeration there is an integer beside it (0: as the selector says), and an output tells which variant runs.
+The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws,
+observer methods) share the table; each has its own functions, and a selector parameter chooses the
+variant at initialisation. For hosts that cannot set an enumeration there is an integer beside it
+(0: as the selector says), and an output tells which variant runs.
 """
 
 from __future__ import annotations
@@ -29,14 +31,16 @@ __all__ = ["Program"]
 SX = ca.SX
 
 
-ALWAYS = ("derive", "start", "outputs")  # functions that are present even where they have nothing to do
+# functions that are present even where they have nothing to do
+ALWAYS = ("derive", "start", "outputs")
 
 
 @dataclass(frozen=True)
 class Slot:
     """One place of `v[]`.
 
-    Its kind is time, selector, index, running, parameter, calculated, hidden, input, output, state, der, sampled or mode.
+    Its kind is time, selector, index, running, parameter, calculated, hidden, input, output, state,
+    der, sampled or mode.
     """
 
     index: int
@@ -50,8 +54,8 @@ class Slot:
 class Kernel:
     """A generated function of `v[]` and the step length h.
 
-    `blocks` are evaluated one after another; each writes its results to `targets`: indices of `v[]`, or of a separate
-    result array where `to_output` is set.
+    `blocks` are evaluated one after another; each writes its results to `targets`: indices of
+    `v[]`, or of a separate result array where `to_output` is set.
     """
 
     name: str
@@ -62,7 +66,9 @@ class Kernel:
 
 @dataclass
 class Variant:
-    """What the core needs to know about one system: its functions (`make`) and the places of its states."""
+    """What the core needs to know about one system: its functions (`make`) and the places of its
+    states.
+    """
 
     system: System
     make: Callable[[], dict[str, Kernel]]
@@ -76,12 +82,18 @@ class Variant:
 
     @cached_property
     def kernels(self) -> dict[str, Kernel]:
-        """All functions by name, made when the first is asked for: a program whose library is at hand needs none."""
+        """All functions by name, made when the first is asked for: a program whose library is at
+        hand needs none.
+        """
         return self.make()
 
     def kept(self) -> dict[str, Kernel]:
-        """Return the functions the core can call: those with something to do, and those it calls always."""
-        return {name: kernel for name, kernel in self.kernels.items() if kernel.blocks or name in ALWAYS}
+        """Return the functions the core can call: those with something to do, and those it calls
+        always.
+        """
+        return {
+            name: kernel for name, kernel in self.kernels.items() if kernel.blocks or name in ALWAYS
+        }
 
 
 def _solved(values: SX, unknowns: Sequence[Unknown]) -> SX:
@@ -92,7 +104,9 @@ def _solved(values: SX, unknowns: Sequence[Unknown]) -> SX:
 
 
 def _own(system: System, name: str) -> str:
-    """A state or constant belongs to its system, so that an output or a parameter may carry the same short name."""
+    """A state or constant belongs to its system, so that an output or a parameter may carry the
+    same short name.
+    """
     return f"{system.name}.{name}"
 
 
@@ -130,7 +144,9 @@ class Program:
         chosen: str | None = None,
     ) -> None:
         if len(systems) > 1 and selector is None:
-            raise BristleError(f"program '{name}' has {len(systems)} variants and needs a selector name")
+            raise BristleError(
+                f"program '{name}' has {len(systems)} variants and needs a selector name"
+            )
         self.name, self.description = name, description or systems[0].description
         self.selector = selector if len(systems) > 1 else None
         self.sensitivities, self.observed = tuple(sensitivities), observed
@@ -140,13 +156,18 @@ class Program:
         self._layout(systems)
         self.variants = [self._variant(system.check()) for system in systems]
 
-    # -- layout ------------------------------------------------------------------------------------------------------
+    # -- layout ------------------------------------------------------------------------------------
 
-    def _add(self, name: str, kind: str, variable: Variable | Parameter, start: float = 0.0) -> None:
+    def _add(
+        self, name: str, kind: str, variable: Variable | Parameter, start: float = 0.0
+    ) -> None:
         if name in self.index:
             known = self.slots[self.index[name]]
             if known.kind != kind or known.variable != variable:
-                raise BristleError(f"program '{self.name}': '{name}' is declared in two different ways; make them equal")
+                raise BristleError(
+                    f"program '{self.name}': '{name}' is declared in two different ways; make them"
+                    " equal"
+                )
             return
         self.index[name] = len(self.slots)
         self.slots.append(Slot(len(self.slots), name, kind, variable, start))
@@ -154,8 +175,17 @@ class Program:
     def _layout(self, systems: Sequence[System]) -> None:
         self._add("time", "time", Variable("time", "s", "simulation time"))
         if self.selector:
-            self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), self.chosen + 1.0)
-            self._add(f"{self.selector}_index", "index", Variable(f"{self.selector}_index", "1", self._index_text(systems)))
+            self._add(
+                self.selector,
+                "selector",
+                Variable(self.selector, "1", "variant"),
+                self.chosen + 1.0,
+            )
+            self._add(
+                f"{self.selector}_index",
+                "index",
+                Variable(f"{self.selector}_index", "1", self._index_text(systems)),
+            )
         for system in systems:
             for parameter in system.parameters.values():
                 self._add(parameter.name, "parameter", parameter, parameter.default)
@@ -169,7 +199,11 @@ class Program:
             for variable, _ in system.outputs.values():
                 self._add(variable.name, "output", variable)
         if self.selector:
-            running = Variable(f"{self.selector}_running", "1", f"number of the {self.selector} that runs: {_numbered(systems)}")
+            running = Variable(
+                f"{self.selector}_running",
+                "1",
+                f"number of the {self.selector} that runs: {_numbered(systems)}",
+            )
             self._add(running.name, "running", running, self.chosen + 1.0)
         for system in systems:
             for name in (name for block in system.constants for name in block):
@@ -177,19 +211,31 @@ class Program:
             for state in system.states.values():
                 self._add(_own(system, state.name), "state", state)
                 if system.smooth:
-                    rate = Variable(state.name, per_second(state.unit), f"rate of {state.description}")
+                    rate = Variable(
+                        state.name, per_second(state.unit), f"rate of {state.description}"
+                    )
                     self._add(f"der({_own(system, state.name)})", "der", rate)
-            for kind, group in (("sampled", {**system.before, **system.after}), ("mode", system.modes)):
+            for kind, group in (
+                ("sampled", {**system.before, **system.after}),
+                ("mode", system.modes),
+            ):
                 for state in group.values():
                     self._add(_own(system, state.name), kind, state)
 
     def _index_text(self, systems: Sequence[System]) -> str:
-        return f"number of the {self.selector}, for hosts that set no enumeration; 0: as {self.selector} says; {_numbered(systems)}"
+        return (
+            f"number of the {self.selector}, for hosts that set no enumeration; 0: as"
+            f" {self.selector} says; {_numbered(systems)}"
+        )
 
     @property
     def choice(self) -> tuple[int, int, int]:
-        """The places of the selector, its integer twin and the output that tells which variant runs; -1 for a single variant."""
-        places = [slot.index for slot in self.slots if slot.kind in ("selector", "index", "running")]
+        """The places of the selector, its integer twin and the output that tells which variant
+        runs; -1 for a single variant.
+        """
+        places = [
+            slot.index for slot in self.slots if slot.kind in ("selector", "index", "running")
+        ]
         return (places[0], places[1], places[2]) if places else (-1, -1, -1)
 
     def place(self, system: System, name: str) -> int:
@@ -200,10 +246,15 @@ class Program:
     def _places(self, system: System, names: Iterable[str]) -> tuple[int, ...]:
         return tuple(self.place(system, name) for name in names)
 
-    # -- kernels -----------------------------------------------------------------------------------------------------
+    # -- kernels -----------------------------------------------------------------------------------
 
     def _kernel(
-        self, system: System, name: str, blocks: Iterable[tuple[Any, Sequence[int]]], h: SX, to_output: bool = False
+        self,
+        system: System,
+        name: str,
+        blocks: Iterable[tuple[Any, Sequence[int]]],
+        h: SX,
+        to_output: bool = False,
     ) -> Kernel:
         names = list(system.symbols)
         arguments = ca.vertcat(system.time, system.vector(names))
@@ -220,12 +271,19 @@ class Program:
 
         for name in self.sensitivities:
             if name not in system.parameters:
-                raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
+                raise BristleError(
+                    f"'{name}' is no parameter of '{system.name}'; known:"
+                    f" {', '.join(system.parameters)}"
+                )
         return Variant(
             system,
             partial(self._kernels, system),
             states=self._places(system, system.states),
-            ders=tuple(self.index[f"der({_own(system, n)})"] for n in system.states) if system.smooth else (),
+            ders=(
+                tuple(self.index[f"der({_own(system, n)})"] for n in system.states)
+                if system.smooth
+                else ()
+            ),
             finite=self._places(system, system.carried),
             sample_time=parameter(SAMPLE_TIME) if system.before or system.after else -1,
             max_step=parameter(MAX_STEP),
@@ -236,7 +294,9 @@ class Program:
     def _kernels(self, system: System) -> dict[str, Kernel]:
         h, kernels = SX.sym("h"), {}
 
-        def add(name: str, blocks: Iterable[tuple[Any, Sequence[int]]], to_output: bool = False) -> None:
+        def add(
+            name: str, blocks: Iterable[tuple[Any, Sequence[int]]], to_output: bool = False
+        ) -> None:
             kernels[name] = self._kernel(system, name, blocks, h, to_output)
 
         def values(pairs: dict[str, SX]) -> tuple[Any, tuple[int, ...]]:
@@ -244,12 +304,20 @@ class Program:
 
         def public(pairs: dict[str, tuple[Variable, SX]]) -> list[tuple[Any, tuple[int, ...]]]:
             places = tuple(self.index[name] for name in pairs)
-            return [(ca.vertcat(*(expression for _, expression in pairs.values())), places)] if pairs else []
+            return (
+                [(ca.vertcat(*(expression for _, expression in pairs.values())), places)]
+                if pairs
+                else []
+            )
 
         add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
         add("start", [values({name: SX(state.initial) for name, state in system.carried.items()})])
         add("outputs", public(system.outputs))
-        for name, sampled in (("before", system.before), ("after", system.after), ("modes", system.modes)):
+        for name, sampled in (
+            ("before", system.before),
+            ("after", system.after),
+            ("modes", system.modes),
+        ):
             add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
         n = len(system.states)
         if system.states:
@@ -267,17 +335,27 @@ class Program:
                 both = ca.vertcat(slopes, _solved(step[:n], unknowns))
                 add("step_jacobian", [(both, range(both.numel()))], to_output=True)
             if self.sensitivities and self.observed:
-                add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
+                add(
+                    "seen_jacobian",
+                    [self._derivative(system, system.outputs[self.observed][1])],
+                    to_output=True,
+                )
         if system.smooth:
             add("rates", [(system.rate_vector(), range(n))], to_output=True)
-            found = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
+            found = ca.vertcat(
+                system.rate_vector(), *(expression for _, expression in system.outputs.values())
+            )
             knowns = system.vector([*system.states, *system.inputs])
             jacobian = ca.jacobian(found, knowns)
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
         return kernels
 
-    def _derivative(self, system: System, values: SX, unknowns: Sequence[Unknown] = ()) -> tuple[SX, range]:
-        """Return d(values)/d(x, chosen parameters), row-major; constants and what is solved for are differentiated too."""
+    def _derivative(
+        self, system: System, values: SX, unknowns: Sequence[Unknown] = ()
+    ) -> tuple[SX, range]:
+        """Return d(values)/d(x, chosen parameters), row-major; constants and what is solved for are
+        differentiated too.
+        """
         knowns = system.vector([*system.states, *self.sensitivities])
         jacobian = ca.jacobian(system.expand(values), knowns)
         slopes: list[tuple[SX, SX]] = []  # of the unknowns by the knowns: implicit function theorem
@@ -288,10 +366,12 @@ class Program:
                 by_known += ca.jacobian(equation, symbol) @ slope
             slopes.append((unknown.symbol, -by_known / ca.jacobian(equation, unknown.symbol)))
             jacobian += ca.jacobian(system.expand(values), unknown.symbol) @ slopes[-1][1]
-        jacobian = _solved(jacobian, [replace(u, solution=system.expand(u.solution)) for u in unknowns])
+        jacobian = _solved(
+            jacobian, [replace(u, solution=system.expand(u.solution)) for u in unknowns]
+        )
         return ca.vec(jacobian.T), range(jacobian.numel())
 
-    # -- identity ----------------------------------------------------------------------------------------------------
+    # -- identity ----------------------------------------------------------------------------------
 
     @property
     def starts(self) -> list[float]:
@@ -309,23 +389,31 @@ class Program:
         known = [slot.name for slot in self.slots if slot.kind == "parameter"]
         for name in values:
             if name not in known:
-                raise BristleError(f"'{name}' is no parameter of {self.name}; known: {', '.join(known)}")
+                raise BristleError(
+                    f"'{name}' is no parameter of {self.name}; known: {', '.join(known)}"
+                )
         made = copy.copy(self)
         made.slots = [
-            replace(slot, start=float(slot.variable.check(values[slot.name])))
-            if isinstance(slot.variable, Parameter) and slot.name in values
-            else slot
+            (
+                replace(slot, start=float(slot.variable.check(values[slot.name])))
+                if isinstance(slot.variable, Parameter) and slot.name in values
+                else slot
+            )
             for slot in self.slots
         ]
         return made
 
     def in_units(self, of: Callable[[str, str], str]) -> Program:
-        """Return the same program with other units declared; `of` gives that of a variable, from its name and its unit now.
+        """Return the same program with other units declared; `of` gives that of a variable, from
+        its name and its unit now.
 
         Numbers stay what they are: equations hold in any consistent set of units.
         """
         made = copy.copy(self)
-        made.slots = [replace(slot, variable=replace(slot.variable, unit=of(slot.name, slot.variable.unit))) for slot in self.slots]
+        made.slots = [
+            replace(slot, variable=replace(slot.variable, unit=of(slot.name, slot.variable.unit)))
+            for slot in self.slots
+        ]
         return made
 
     @property

@@ -1,4 +1,6 @@
-"""One step of a system with a set-valued friction row: linearly implicit, reversals located, exact sticking."""
+"""One step of a system with a set-valued friction row: linearly implicit, reversals located, exact
+sticking.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,16 @@ from bristle.model.system import DryRow, System
 
 SX = ca.SX
 
-NEWTON = 2  # steps for the distance of bristles; they close in from one side, from where the servo would slide
+# steps for the distance of bristles; they close in from one side, from where the servo would slide
+NEWTON = 2
 
 
 def _weight(diagonal: list[SX], h: SX) -> SX:
-    """Return the weight of the end of the step: 1/2, and towards 1 for rates too fast for the step, so that they decay.
+    """Return the weight of the end of the step: 1/2, and towards 1 for rates too fast for the step,
+    so that they decay.
 
-    Source: hairer1996 section IV.3 (theta method: A-stable from 1/2; a mode of rate z/h is damped out by 1 - 1/z).
+    Source: hairer1996 section IV.3 (theta method: A-stable from 1/2; a mode of rate z/h is damped
+    out by 1 - 1/z).
     """
     z = SX(0)
     for entry in diagonal:
@@ -34,7 +39,9 @@ def _bounds(dry: DryRow, v: SX, at: SX) -> tuple[SX, SX]:
 
 @dataclass(frozen=True)
 class _Row:
-    """The velocity's row once all else is eliminated: pivot dv = pull - friction (accelerations), from velocity v."""
+    """The velocity's row once all else is eliminated: pivot dv = pull - friction (accelerations),
+    from velocity v.
+    """
 
     dry: DryRow
     v: SX
@@ -47,7 +54,9 @@ class _Row:
 
 @dataclass(frozen=True)
 class Unknown:
-    """What a step solves for by iteration: its symbol in the step, its solution, and the equation (zero there)."""
+    """What a step solves for by iteration: its symbol in the step, its solution, and the equation
+    (zero there).
+    """
 
     symbol: SX
     solution: SX
@@ -57,14 +66,15 @@ class Unknown:
 def proximal(system: System, h: SX) -> tuple[SX, list[Unknown]]:
     """Return x after a step of length h with J v' = T - f, f in N Sgn(v) or bristles in its place.
 
-    What bristles solve for by iteration stands in x as symbols and is returned beside it, so that derivatives come from
-    the equations instead of the iterations.
+    What bristles solve for by iteration stands in x as symbols and is returned beside it, so that
+    derivatives come from the equations instead of the iterations.
 
-    The smooth part is linearly implicit, (I/h - w A) dx = f(x), with the weight w = 1/2 unless a rate is too fast for
-    the step. The velocity is eliminated last, the other states see its mean. Second-order accurate.
+    The smooth part is linearly implicit, (I/h - w A) dx = f(x), with the weight w = 1/2 unless a
+    rate is too fast for the step. The velocity is eliminated last, the other states see its mean.
+    Second-order accurate.
 
-    Source: acary2008 (inclusion solved by closed-form projection; location of events), hairer1996 section IV.3 (theta
-    method).
+    Source: acary2008 (inclusion solved by closed-form projection; location of events), hairer1996
+    section IV.3 (theta method).
     """
     dry = system.dry
     assert dry is not None
@@ -90,9 +100,10 @@ def proximal(system: System, h: SX) -> tuple[SX, list[Unknown]]:
 def _slip(row: _Row) -> tuple[SX, SX]:
     """Return (change, mean) of the velocity over a step with set-valued friction.
 
-    If the velocity keeps its sign, f is the bound at the middle of the step. Otherwise it reaches zero after the share
-    l = -v/dv of the step, and there f in N Sgn(v) is solved by projection: it sticks, or slides for the rest of the
-    step. In the sticking branch dv = -v is set, not computed, so that velocity and position stand still to the last bit.
+    If the velocity keeps its sign, f is the bound at the middle of the step. Otherwise it reaches
+    zero after the share l = -v/dv of the step, and there f in N Sgn(v) is solved by projection: it
+    sticks, or slides for the rest of the step. In the sticking branch dv = -v is set, not computed,
+    so that velocity and position stand still to the last bit.
     """
     v, forward = row.v, row.v > 0
     slide = (row.pull - ca.if_else(forward, *_bounds(row.dry, v, v))) / row.pivot
@@ -106,18 +117,23 @@ def _slip(row: _Row) -> tuple[SX, SX]:
     return dv, ca.if_else(slides, v + row.weight * slide, (share * v + (1 - share) * rest) / 2)
 
 
-def _path(row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX) -> tuple[Unknown, SX]:
-    """Return (distance, deflection) after a share of the step in one direction, from a velocity and a deflection.
+def _path(
+    row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
+) -> tuple[Unknown, SX]:
+    """Return (distance, deflection) after a share of the step in one direction, from a velocity and
+    a deflection.
 
-    Bristles relax with the distance d: z = s + (z0 - s) exp(-d/b), with b = level / stiffness and s = side b, so that
-    their mean force along the way is a function of d alone, and d solves one scalar equation. It is concave and rises:
-    Newton's steps from the left, from where it would slide, close in on it from one side. A negative distance belongs to
-    a step that reverses in its first half; there the equation goes on along its tangent, and the distance tells when.
+    Bristles relax with the distance d: z = s + (z0 - s) exp(-d/b), with b = level / stiffness and s
+    = side b, so that their mean force along the way is a function of d alone, and d solves one
+    scalar equation. It is concave and rises: Newton's steps from the left, from where it would
+    slide, close in on it from one side. A negative distance belongs to a step that reverses in its
+    first half; there the equation goes on along its tangent, and the distance tells when.
     """
     dry, tau = row.dry, share * row.h
     pivot, weight = row.pivot / share, ca.if_else(share < 1, 0.5, row.weight)
     length = level * dry.inertia / dry.stiffness
-    gap = side * (side * length - z)  # how far the deflection is from its limit, counted in the direction of motion
+    # how far the deflection is from its limit, counted in the direction of motion
+    gap = side * (side * length - z)
     elastic, viscous = dry.stiffness / dry.inertia, dry.damping / (dry.inertia * tau)
     offset = pivot * side * from_v / weight + side * pull - level
     slope = pivot / (weight * tau)
@@ -128,7 +144,8 @@ def _path(row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
         decay = ca.exp(-q)
         small = q < 1e-4  # there the closed forms lose their digits
         mean = ca.if_else(small, 1 - q / 2 + q * q / 6, (1 - decay) / ca.if_else(small, 1, q))
-        bend = ca.if_else(small, -0.5 + q / 3, (decay - mean) / ca.if_else(small, 1, q))  # derivative of the mean by q
+        # derivative of the mean by q
+        bend = ca.if_else(small, -0.5 + q / 3, (decay - mean) / ca.if_else(small, 1, q))
         value = slope * ahead - offset - elastic * gap * mean + viscous * gap * (1 - decay)
         rise = slope - elastic * gap * bend / length + viscous * gap * decay / length
         return value + rise * (d - ahead), rise
@@ -144,11 +161,14 @@ def _path(row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
 
 
 def _bend(row: _Row, z: SX) -> tuple[SX, SX, SX, list[Unknown]]:
-    """Return (change, mean) of the velocity, the deflection after a step with bristles, and what is solved for.
+    """Return (change, mean) of the velocity, the deflection after a step with bristles, and what is
+    solved for.
 
-    A reversal within the step is located as for set-valued friction; then the bristles bend from where they were.
+    A reversal within the step is located as for set-valued friction; then the bristles bend from
+    where they were.
 
-    Source: dahl1968 (friction as a function of the distance), canudas1995 (its damping), gonzalez1996 (mean force).
+    Source: dahl1968 (friction as a function of the distance), canudas1995 (its damping),
+    gonzalez1996 (mean force).
     """
     v, dry = row.v, row.dry
     upper, lower = _bounds(dry, v, v)
@@ -156,15 +176,20 @@ def _bend(row: _Row, z: SX) -> tuple[SX, SX, SX, list[Unknown]]:
     on, bent = _path(row, side, z, v, row.pull, SX(1), level)
     dv = (side * on.symbol / row.h - v) / row.weight
     keeps = v * (v + dv) > 0
-    # a reversal in the last instant of the step is taken a little earlier: nothing is to be divided by what is left of it
-    share = ca.if_else(v == 0, 0, ca.fmin(-v / ca.if_else(ca.logic_or(keeps, v == 0), -1, dv), 1 - 1e-4))
+    # a reversal in the last instant of the step is taken a little earlier: nothing is to be divided
+    # by what is left of it
+    share = ca.if_else(
+        v == 0, 0, ca.fmin(-v / ca.if_else(ca.logic_or(keeps, v == 0), -1, dv), 1 - 1e-4)
+    )
     before = ca.fabs(v) * share * row.h / 2
     length = level * dry.inertia / dry.stiffness
     middle = side * length - (side * length - z) * ca.exp(-before / length)
     push = row.at_rest - dry.stiffness / dry.inertia * middle
     turned = ca.if_else(push < 0, -1, 1)
     upper, lower = _bounds(dry, v, SX(0))
-    back, end = _path(row, turned, middle, SX(0), row.at_rest, 1 - share, ca.if_else(push < 0, -lower, upper))
+    back, end = _path(
+        row, turned, middle, SX(0), row.at_rest, 1 - share, ca.if_else(push < 0, -lower, upper)
+    )
     rest = 2 * turned * back.symbol / ((1 - share) * row.h)
     mean = ca.if_else(keeps, side * on.symbol, side * before + turned * back.symbol) / row.h
     return ca.if_else(keeps, dv, rest - v), mean, ca.if_else(keeps, bent, end), [on, back]

@@ -1,4 +1,6 @@
-"""Programs without a compiler: generated Python or CasADi functions for `runtime.Core`, and functions of arrays."""
+"""Programs without a compiler: generated Python or CasADi functions for `runtime.Core`, and
+functions of arrays.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +20,21 @@ Array = NDArray[np.float64]
 
 
 def for_arrays(function: ca.Function) -> Callable[[Sequence[Array | float]], list[Array]]:
-    """Return a function of one vector (k,) as one of k numbers or arrays of equal shape, one operation for all of them.
+    """Return a function of one vector (k,) as one of k numbers or arrays of equal shape, one
+    operation for all of them.
 
-    Some ten times as fast as CasADi's own evaluation, point by point. Divisions by zero give infinity or NaN, silently.
+    Some ten times as fast as CasADi's own evaluation, point by point. Divisions by zero give
+    infinity or NaN, silently.
     """
     namespace: dict[str, Any] = {"np": np}
     exec(compile(emit_numpy(function, "evaluated"), f"<{function.name()}>", "exec"), namespace)
 
     def evaluated(v: Sequence[Array | float]) -> list[Array]:
         with np.errstate(all="ignore"):
-            return [np.asarray(x) for x in namespace["evaluated"]([np.asarray(each, dtype=float)[()] for each in v])]
+            return [
+                np.asarray(x)
+                for x in namespace["evaluated"]([np.asarray(each, dtype=float)[()] for each in v])
+            ]
 
     return evaluated
 
@@ -42,7 +49,10 @@ def python_source(program: Program) -> str:
         pairs = [f'"name": "{variant.system.name}"']
         pairs += [f'"{n}": {kept[n].name if n in kept else None}' for n in KERNELS]
         pairs += [f'"{n}": {list(getattr(variant, n))}' for n in ("states", "ders", "finite")]
-        pairs += [f'"{n}": {getattr(variant, n)}' for n in ("sample_time", "max_step", "max_steps", "friction_step")]
+        pairs += [
+            f'"{n}": {getattr(variant, n)}'
+            for n in ("sample_time", "max_step", "max_steps", "friction_step")
+        ]
         entries.append("    {" + ", ".join(pairs) + "},")
     text += [f"START = {program.starts!r}", f"CHOICE = {program.choice}"]
     return "\n".join([*text, "VARIANTS = [", *entries, "]", ""])
@@ -68,13 +78,18 @@ def _evaluator(kernel: Kernel) -> Callable[[list[float], float, list[float] | No
 
 
 def casadi_tables(program: Program) -> SimpleNamespace:
-    """Return the program's functions as CasADi evaluates them, for `runtime.Core`: an independent arithmetic."""
+    """Return the program's functions as CasADi evaluates them, for `runtime.Core`: an independent
+    arithmetic.
+    """
     variants = []
     for variant in program.variants:
         entry: dict[str, Any] = {"name": variant.system.name}
         kept = variant.kept()
         entry |= {name: _evaluator(kept[name]) if name in kept else None for name in KERNELS}
         entry |= {n: list(getattr(variant, n)) for n in ("states", "ders", "finite")}
-        entry |= {n: getattr(variant, n) for n in ("sample_time", "max_step", "max_steps", "friction_step")}
+        entry |= {
+            n: getattr(variant, n)
+            for n in ("sample_time", "max_step", "max_steps", "friction_step")
+        }
         variants.append(entry)
     return SimpleNamespace(START=program.starts, CHOICE=program.choice, VARIANTS=variants)

@@ -1,4 +1,6 @@
-"""RODAS: an L-stable, stiffly accurate Rosenbrock step of order 4 with an embedded error estimate of order 3."""
+"""RODAS: an L-stable, stiffly accurate Rosenbrock step of order 4 with an embedded error estimate
+of order 3.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from bristle.model.system import System
 
 SX = ca.SX
 
-# Coefficients: hairer1996, code RODAS, method 1. Stages 5 and 6 add the stage before to the same point.
+# Coefficients: hairer1996, code RODAS, method 1. Stages 5 and 6 add the stage before to the same
+# point.
 GAMMA = 0.25
 STAGE_TIME = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)  # where in the step each stage stands
 TIME_GAMMA = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)  # weight of h df/dt in each stage
@@ -28,15 +31,23 @@ C = (  # stage equation gets sum C u / h
     (-2.430093356833875, -0.2063599157091915),
     (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
     (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
-    (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
+    (
+        8.083246795921522,
+        -7.981132988064893,
+        -31.52159432874371,
+        16.31930543123136,
+        -6.058818238834054,
+    ),
 )
 
 
 def rodas(system: System, h: SX) -> tuple[SX, SX]:
-    """Return (x after a step of length h, error norm), both symbolic; the step is acceptable if the norm is <= 1.
+    """Return (x after a step of length h, error norm), both symbolic; the step is acceptable if the
+    norm is <= 1.
 
-    The Jacobian is exact; the linear systems are solved symbolically, so that the step is one straight line of
-    arithmetic that can be differentiated and printed in any language. The last stage is the estimate of the error.
+    The Jacobian is exact; the linear systems are solved symbolically, so that the step is one
+    straight line of arithmetic that can be differentiated and printed in any language. The last
+    stage is the estimate of the error.
 
     Source: hairer1996 section IV.7, stage equations in the form (7.25).
     """
@@ -50,7 +61,9 @@ def rodas(system: System, h: SX) -> tuple[SX, SX]:
     point = x
     for i, (a, c) in enumerate(zip(A, C, strict=True)):
         point = x + sum(weight * u for weight, u in zip(a, stages, strict=True)) if a else x
-        history = sum((weight * u for weight, u in zip(c, stages, strict=True)), SX.zeros(x.shape[0]))
+        history = sum(
+            (weight * u for weight, u in zip(c, stages, strict=True)), SX.zeros(x.shape[0])
+        )
         value = rates(point, t + STAGE_TIME[i] * h, rest)
         stages.append(factors.solve(value + history / h + TIME_GAMMA[i] * h * f_t))
     scale = ca.vertcat(*(SX(state.scale) for state in system.states.values()))

@@ -1,4 +1,6 @@
-"""A program as C sources: generated model.h, model.c and a file a variant beside core.h and core.c; or one for lanes."""
+"""A program as C sources: generated model.h, model.c and a file a variant beside core.h and core.c;
+or one for lanes.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,30 @@ from bristle.model.system import System
 
 SX = ca.SX
 
-WIDE_KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "step_jacobian", "seen_jacobian")  # of lanes
-KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian")
+# of lanes
+WIDE_KERNELS = (
+    "derive",
+    "start",
+    "outputs",
+    "before",
+    "after",
+    "modes",
+    "step",
+    "step_jacobian",
+    "seen_jacobian",
+)
+KERNELS = (
+    "derive",
+    "start",
+    "outputs",
+    "before",
+    "after",
+    "modes",
+    "step",
+    "rates",
+    "jacobian",
+    "step_jacobian",
+)
 
 
 def _list(values: Sequence[int]) -> str:
@@ -28,12 +52,17 @@ def _list(values: Sequence[int]) -> str:
 
 
 def _variant(
-    variant: Variant, kernels: Sequence[str] = KERNELS, lists: Sequence[str] = ("states", "ders", "finite")
+    variant: Variant,
+    kernels: Sequence[str] = KERNELS,
+    lists: Sequence[str] = ("states", "ders", "finite"),
 ) -> tuple[str, str]:
     """Return (tables, entry of VARIANTS or WIDE) of one variant."""
     name = variant.system.name
     groups = {each: getattr(variant, each) for each in lists}
-    tables = "".join(f"static const int {name}_{group}[] = {_list(places)};\n" for group, places in groups.items())
+    tables = "".join(
+        f"static const int {name}_{group}[] = {_list(places)};\n"
+        for group, places in groups.items()
+    )
     kept = variant.kept()
     pointers = [kept[k].name if k in kept else "0" for k in kernels]
     numbers = [len(variant.states), len(variant.finite), *(f"{name}_{group}" for group in groups)]
@@ -42,11 +71,21 @@ def _variant(
 
 
 def fingerprint(program: Program) -> tuple[str, ...]:
-    """Return texts that differ where the sources would, but are much quicker to make, since no function is generated.
+    """Return texts that differ where the sources would, but are much quicker to make, since no
+    function is generated.
 
     They are the equations as written, and the code that generates functions from them.
     """
-    layout = repr((program.name, program.description, program.selector, program.sensitivities, program.observed, program.slots))
+    layout = repr(
+        (
+            program.name,
+            program.description,
+            program.selector,
+            program.sensitivities,
+            program.observed,
+            program.slots,
+        )
+    )
     return (_code(), layout, *(_equations(variant.system) for variant in program.variants))
 
 
@@ -54,12 +93,19 @@ def fingerprint(program: Program) -> tuple[str, ...]:
 def _code() -> str:
     """Return the hash of everything that turns equations into C."""
     package = files("bristle.model")
-    texts = [path.read_text(encoding="utf-8") for folder in (package, package / "c") for path in _sources(folder)]
+    texts = [
+        path.read_text(encoding="utf-8")
+        for folder in (package, package / "c")
+        for path in _sources(folder)
+    ]
     return digest(version("casadi"), *texts)
 
 
 def _sources(folder: Traversable) -> list[Traversable]:
-    return sorted((path for path in folder.iterdir() if path.name.endswith((".py", ".c", ".h"))), key=lambda path: path.name)
+    return sorted(
+        (path for path in folder.iterdir() if path.name.endswith((".py", ".c", ".h"))),
+        key=lambda path: path.name,
+    )
 
 
 def _equations(system: System) -> str:
@@ -71,7 +117,9 @@ def _equations(system: System) -> str:
 
 
 def _plain(value: Any, found: list[SX]) -> Any:
-    """Return a value with its expressions replaced by their numbers in `found`, where they are put."""
+    """Return a value with its expressions replaced by their numbers in `found`, where they are
+    put.
+    """
     if isinstance(value, SX):
         found.append(ca.densify(value))
         return f"expression {len(found)} of {value.shape}"
@@ -86,7 +134,10 @@ def _plain(value: Any, found: list[SX]) -> Any:
 
 def _header(program: Program) -> str:
     most = max(len(a.states) for a in program.variants)
-    jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
+    jacobian = max(
+        a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0
+        for a in program.variants
+    )
     selector, index, running = program.choice
     return f"""/* {program.name}: {program.description} (generated) */
 #ifndef BRISTLE_MODEL_H
@@ -120,15 +171,28 @@ def c_sources(program: Program) -> dict[str, str]:
         tables, entry = _variant(variant)
         kept = variant.kept()
         kernels = [emit_c(kept[kernel]) for kernel in KERNELS if kernel in kept]
-        head = [f"/* {program.name}, {name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
-        sources[f"model_{name}.c"] = "\n".join([*head, *kernels, tables, f"const Variant VARIANT_{name} =\n{entry};\n"])
+        head = [
+            f"/* {program.name}, {name}: the equations (generated) */",
+            '#include "core.h"',
+            "#include <math.h>",
+            "",
+        ]
+        sources[f"model_{name}.c"] = "\n".join(
+            [*head, *kernels, tables, f"const Variant VARIANT_{name} =\n{entry};\n"]
+        )
     table = ", ".join(f"&VARIANT_{name}" for name in names)
     start = ", ".join(repr(float(x)) for x in program.starts)
-    sources["model.c"] = "\n".join([
-        f"/* {program.name}: its variants, and what variables start from (generated) */", '#include "core.h"', "",
-        *(f"extern const Variant VARIANT_{name};" for name in names),
-        f"const Variant *const VARIANTS[N_VARIANTS] = {{{table}}};", f"const double START[N_V] = {{{start}}};", "",
-    ])  # fmt: skip
+    sources["model.c"] = "\n".join(
+        [
+            f"/* {program.name}: its variants, and what variables start from (generated) */",
+            '#include "core.h"',
+            "",
+            *(f"extern const Variant VARIANT_{name};" for name in names),
+            f"const Variant *const VARIANTS[N_VARIANTS] = {{{table}}};",
+            f"const double START[N_V] = {{{start}}};",
+            "",
+        ]
+    )
     return sources
 
 
@@ -141,4 +205,8 @@ def lanes_sources(program: Program) -> dict[str, str]:
     body += [emit_lanes(kept[name]) for name in WIDE_KERNELS if name in kept]
     body += [tables, f"const Wide WIDE =\n{entry};\n"]
     segments = ["segments.c"] if program.observed and program.sensitivities else []
-    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "lanes.h", "lanes.c", *segments)}
+    return {
+        "model.h": _header(program),
+        "model.c": "\n".join(body),
+        **_fixed("core.h", "lanes.h", "lanes.c", *segments),
+    }

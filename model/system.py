@@ -1,4 +1,6 @@
-"""`System`: named variables and their equations, written once, from which everything else is generated."""
+"""`System`: named variables and their equations, written once, from which everything else is
+generated.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ __all__ = ["DryRow", "System"]
 
 SX = ca.SX
 
-SAMPLE_TIME = Parameter("sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C")
+SAMPLE_TIME = Parameter(
+    "sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C"
+)
 TOLERANCE = Parameter(
     "solver.tolerance",
     "tol",
@@ -26,7 +30,16 @@ TOLERANCE = Parameter(
     "local error allowed in one internal step, relative to the size of each state",
     "hairer1996 section IV.7",
 )
-MAX_STEP = Parameter("solver.max_step", "h_max", "s", 1e-3, 1e-7, 1.0, "longest internal step", "hairer1996 section IV.7")
+MAX_STEP = Parameter(
+    "solver.max_step",
+    "h_max",
+    "s",
+    1e-3,
+    1e-7,
+    1.0,
+    "longest internal step",
+    "hairer1996 section IV.7",
+)
 MAX_STEPS = Parameter(
     "solver.max_steps",
     "n_max",
@@ -51,11 +64,13 @@ FRICTION_STEP = Parameter(
 
 @dataclass(frozen=True)
 class DryRow:
-    """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound N as expressions.
+    """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound
+    N as expressions.
 
-    `backward`, where given, is the bound against backward motion: f in [-backward, bound] at rest. `deflection`, where
-    given, names the state z of bristles with a stiffness and a damping: f = stiffness z + damping z', where
-    z' = v - stiffness |v| z / bound, so that f reaches the bound with the distance travelled.
+    `backward`, where given, is the bound against backward motion: f in [-backward, bound] at rest.
+    `deflection`, where given, names the state z of bristles with a stiffness and a damping: f =
+    stiffness z + damping z', where z' = v - stiffness |v| z / bound, so that f reaches the bound
+    with the distance travelled.
     """
 
     row: str
@@ -69,7 +84,9 @@ class DryRow:
 
 @dataclass(frozen=True)
 class Directed:
-    """How far a system is past a switching point if it moves forward, and if it moves backward; and its present speed."""
+    """How far a system is past a switching point if it moves forward, and if it moves backward; and
+    its present speed.
+    """
 
     forward: SX
     backward: SX
@@ -80,10 +97,11 @@ class Directed:
 class System:
     """A servo, an observer or a controller as equations over named symbols.
 
-    Continuous states obey x' = f; sampled states change every `sample_time`, either *before* an interval is
-    integrated (they use the inputs of its start: delay lines, observers, controllers) or *after* it (sensors, which
-    see the states of its end); modes change at the end of an internal step; at most one row carries dry friction. A state that
-    `follow`s others has no rate: its value at the end of an internal step is a function of theirs.
+    Continuous states obey x' = f; sampled states change every `sample_time`, either *before* an
+    interval is integrated (they use the inputs of its start: delay lines, observers, controllers)
+    or *after* it (sensors, which see the states of its end); modes change at the end of an internal
+    step; at most one row carries dry friction. A state that `follow`s others has no rate: its value
+    at the end of an internal step is a function of theirs.
     """
 
     name: str
@@ -107,7 +125,7 @@ class System:
     symbols: dict[str, SX] = field(default_factory=dict)
     time: SX = field(default_factory=lambda: SX.sym("time"))
 
-    # -- declarations; each returns the symbol to write equations with ---------------------------------------------
+    # -- declarations; each returns the symbol to write equations with -----------------------------
 
     def _symbol(self, name: str) -> SX:
         if name in self.symbols:
@@ -116,7 +134,9 @@ class System:
         return self.symbols[name]
 
     def parameter(self, parameter: Parameter) -> SX:
-        """Declare a parameter; declaring the same one again is allowed and returns the same symbol."""
+        """Declare a parameter; declaring the same one again is allowed and returns the same
+        symbol.
+        """
         if self.parameters.get(parameter.name) == parameter:
             return self.symbols[parameter.name]
         self.parameters[parameter.name] = parameter
@@ -142,12 +162,16 @@ class System:
         return self._symbol(state.name)
 
     def mode(self, state: State) -> SX:
-        """Declare a mode, switched at the end of an internal step; give its next value with `update`."""
+        """Declare a mode, switched at the end of an internal step; give its next value with
+        `update`.
+        """
         self.modes[state.name] = state
         return self._symbol(state.name)
 
     def constant(self, values: dict[str, SX]) -> Namespace:
-        """Declare constants computed once, at initialisation, from parameters and earlier constants."""
+        """Declare constants computed once, at initialisation, from parameters and earlier
+        constants.
+        """
         self.constants.append(values)
         return Namespace({name: self._symbol(name) for name in values})
 
@@ -155,7 +179,7 @@ class System:
         """Declare a calculated parameter: public, a function of parameters and constants."""
         self.calculated[variable.name] = (variable, SX(value))
 
-    # -- equations ---------------------------------------------------------------------------------------------------
+    # -- equations ---------------------------------------------------------------------------------
 
     def rate(self, name: str, expression: SX) -> None:
         """Set x' of a continuous state."""
@@ -166,9 +190,11 @@ class System:
         return self.ends.setdefault(name, SX.sym(f"{name}_end"))
 
     def follow(self, name: str, expression: SX) -> None:
-        """Set the value of a continuous state at the end of an internal step; other states may enter at both ends of the step.
+        """Set the value of a continuous state at the end of an internal step; other states may
+        enter at both ends of the step.
 
-        For memory that depends on a path and not on time, such as free play: no step then has to resolve where it switches.
+        For memory that depends on a path and not on time, such as free play: no step then has to
+        resolve where it switches.
         """
         self.rates[name] = SX(0)
         self.followed[name] = SX(expression)
@@ -178,10 +204,11 @@ class System:
         self.updates[name] = SX(expression)
 
     def margin(self, name: str, past: SX, directed: Directed | None = None) -> None:
-        """Set how far the system is past the switching point of a mode, relative to its size; at most 0 before the point.
+        """Set how far the system is past the switching point of a mode, relative to its size; at
+        most 0 before the point.
 
-        No internal step then overshoots it by more than the tolerance, and derivatives are right across it. `directed`: the same by
-        direction, where `past` jumps when the motion reverses.
+        No internal step then overshoots it by more than the tolerance, and derivatives are right
+        across it. `directed`: the same by direction, where `past` jumps when the motion reverses.
         """
         self.margins[name] = SX(past)
         if directed is not None:
@@ -199,17 +226,27 @@ class System:
         backward: SX | None = None,
         bristles: tuple[str, SX, SX] | None = None,
     ) -> None:
-        """Put dry friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`.
+        """Put dry friction of the given bound [N.m] on the rate of `row`, whose inertia is
+        `inertia`.
 
-        `backward` is the bound against backward motion, where it differs; `bristles` (name of the deflection's state,
-        stiffness, damping) make it elastic before it slides.
+        `backward` is the bound against backward motion, where it differs; `bristles` (name of the
+        deflection's state, stiffness, damping) make it elastic before it slides.
         """
         if self.dry is not None:
-            raise EquationError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
+            raise EquationError(
+                f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one"
+                " is allowed"
+            )
         self.parameter(FRICTION_STEP)
-        self.dry = DryRow(row, SX(inertia), SX(bound), None if backward is None else SX(backward), *(bristles or ()))
+        self.dry = DryRow(
+            row,
+            SX(inertia),
+            SX(bound),
+            None if backward is None else SX(backward),
+            *(bristles or ()),
+        )
 
-    # -- views -------------------------------------------------------------------------------------------------------
+    # -- views -------------------------------------------------------------------------------------
 
     @property
     def carried(self) -> dict[str, State]:
@@ -218,8 +255,12 @@ class System:
 
     @property
     def smooth(self) -> bool:
-        """True if x' = f(x, u) is all there is: no sampled states, modes, states that follow others, or dry friction."""
-        return bool(self.states) and not (self.before or self.after or self.modes or self.followed or self.dry)
+        """True if x' = f(x, u) is all there is: no sampled states, modes, states that follow
+        others, or dry friction.
+        """
+        return bool(self.states) and not (
+            self.before or self.after or self.modes or self.followed or self.dry
+        )
 
     def namespace(self, prefix: str = "") -> Namespace:
         """Return all symbols for attribute access."""
@@ -234,29 +275,50 @@ class System:
         return ca.vertcat(*(self.rates[name] for name in self.states)) if self.states else SX(0, 1)
 
     def with_followers(self, end: SX) -> SX:
-        """Return the states at the end of a step, in the order of `states`, with those that follow others put in place."""
+        """Return the states at the end of a step, in the order of `states`, with those that follow
+        others put in place.
+        """
         names, rows = list(self.states), ca.vertsplit(end) if self.states else []
         reached = [rows[names.index(name)] for name in self.ends]
         for name, expression in self.followed.items():
-            [rows[names.index(name)]] = ca.substitute([expression], list(self.ends.values()), reached)
+            [rows[names.index(name)]] = ca.substitute(
+                [expression], list(self.ends.values()), reached
+            )
         return ca.vertcat(*rows)
 
     def expand(self, expression: SX) -> SX:
-        """Replace the constants in `expression` by their formulas, so that it can be differentiated by parameters."""
+        """Replace the constants in `expression` by their formulas, so that it can be differentiated
+        by parameters.
+        """
         for values in reversed(self.constants):
             names = list(values)
-            [expression] = ca.substitute([expression], [self.vector(names)], [ca.vertcat(*values.values())])
+            [expression] = ca.substitute(
+                [expression], [self.vector(names)], [ca.vertcat(*values.values())]
+            )
         return expression
 
     def check(self) -> System:
-        """Raise `EquationError` if an equation is missing or belongs to no state; otherwise return self."""
+        """Raise `EquationError` if an equation is missing or belongs to no state; otherwise return
+        self.
+        """
         sampled = {**self.before, **self.after, **self.modes}
-        for what, declared, given in (("rate", self.states, self.rates), ("update", sampled, self.updates)):
+        for what, declared, given in (
+            ("rate", self.states, self.rates),
+            ("update", sampled, self.updates),
+        ):
             for name in declared.keys() ^ given.keys():
-                raise EquationError(f"system '{self.name}': '{name}' needs both a state and a {what}; add the missing one")
+                raise EquationError(
+                    f"system '{self.name}': '{name}' needs both a state and a {what}; add the"
+                    " missing one"
+                )
         for name in self.margins:
             if name not in self.modes or self.dry is not None:
-                raise EquationError(f"system '{self.name}': '{name}' has a margin; only a mode may, and only without dry friction")
+                raise EquationError(
+                    f"system '{self.name}': '{name}' has a margin; only a mode may, and only"
+                    " without dry friction"
+                )
         if self.dry is not None and self.dry.row not in self.states:
-            raise EquationError(f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state")
+            raise EquationError(
+                f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state"
+            )
         return self

@@ -1,4 +1,6 @@
-"""Parameters and variables: each is declared once; everything else about it is generated from here."""
+"""Parameters and variables: each is declared once; everything else about it is generated from
+here.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,10 @@ __all__ = ["Namespace", "Parameter", "State", "Variable"]
 class Parameter:
     """A number the user sets before the simulation starts.
 
-    `name` is the public name (structured, ``lugre.Fc``), `symbol` the paper's letter, `unit` SI, `minimum` and
-    `maximum` the closed interval of allowed values, `source` a key of references.bib with an equation number. A model file may
-    leave out what is `optional`, and what is 0 by default.
+    `name` is the public name (structured, ``lugre.Fc``), `symbol` the paper's letter, `unit` SI,
+    `minimum` and `maximum` the closed interval of allowed values, `source` a key of references.bib
+    with an equation number. A model file may leave out what is `optional`, and what is 0 by
+    default.
     """
 
     name: str
@@ -35,11 +38,14 @@ class Parameter:
         try:
             finite = math.isfinite(value)
         except TypeError:
-            raise BristleError(f"{self.name} = {value!r} is not a number; give one in {self.unit}") from None
+            raise BristleError(
+                f"{self.name} = {value!r} is not a number; give one in {self.unit}"
+            ) from None
         if not (finite and self.minimum <= value <= self.maximum):
             raise BristleError(
-                f"{self.name} = {value:g} {self.unit} is outside [{self.minimum:g}, {self.maximum:g}] {self.unit}; "
-                f"choose a value in that interval ({self.description})"
+                f"{self.name} = {value:g} {self.unit} is outside [{self.minimum:g},"
+                f" {self.maximum:g}] {self.unit}; choose a value in that interval"
+                f" ({self.description})"
             )
         return value
 

@@ -1,4 +1,6 @@
-"""Adaptive observers, one a file; each file that defines `METHOD` is a method of the FMU, scenarios and the command line."""
+"""Adaptive observers, one a file; each file that defines `METHOD` is a method of the FMU, scenarios
+and the command line.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,11 @@ from collections.abc import Mapping
 from bristle.common.errors import BristleError, suggest
 from bristle.common.packages import offered
 from bristle.common.plugins import catalogue_modules
-from bristle.model.declarations import checked_declarations, packaged_declaration, packaged_declarations
+from bristle.model.declarations import (
+    checked_declarations,
+    packaged_declaration,
+    packaged_declarations,
+)
 from bristle.model.program import Program
 from bristle.observer.method import Method, observer
 
@@ -15,7 +21,8 @@ __all__ = ["estimated", "methods", "observer_program"]
 
 
 def methods(packages: bool = False) -> dict[str, Method]:
-    """Return all methods by name, in alphabetical order of their files; with `packages`, those of installed packages follow.
+    """Return all methods by name, in alphabetical order of their files; with `packages`, those of
+    installed packages follow.
 
     The observer of all methods has none of a package: installing one changes no FMU.
     """
@@ -24,7 +31,8 @@ def methods(packages: bool = False) -> dict[str, Method]:
 
 
 def observer_program(method: str | None = None) -> Program:
-    """Return the observers as a program: all methods behind the selector `method`, or one alone, also of an installed package.
+    """Return the observers as a program: all methods behind the selector `method`, or one alone,
+    also of an installed package.
 
     Raises
     ------
@@ -40,7 +48,8 @@ def observer_program(method: str | None = None) -> Program:
 
 
 def estimated(method: str) -> list[str]:
-    """Return the signals and parameters that a method estimates, in the order of its outputs; its others are always 0.
+    """Return the signals and parameters that a method estimates, in the order of its outputs; its
+    others are always 0.
 
     Raises
     ------
@@ -50,11 +59,21 @@ def estimated(method: str) -> list[str]:
     outputs = observer(_chosen(method, methods())).outputs
     said = {name for name, (_, value) in outputs.items() if not value.is_zero()}
     hats = [name.removesuffix("_hat") for name in outputs if name.endswith("_hat")]
-    return [name for name in hats if said & {f"{name}_{each}" for each in ("hat", "hat_valid", "valid", "sd")}]
+    return [
+        name
+        for name in hats
+        if said & {f"{name}_{each}" for each in ("hat", "hat_valid", "valid", "sd")}
+    ]
 
 
 def _chosen(method: str, own: Mapping[str, Method]) -> Method:
     known = list(dict.fromkeys([*own, *offered("observers")]))
     if method not in known:
-        raise BristleError(f"unknown observer '{method}'{suggest(method, known)}; known: {', '.join(known)}")
-    return own[method] if method in own else packaged_declaration("observers", method, "METHOD", Method, own)
+        raise BristleError(
+            f"unknown observer '{method}'{suggest(method, known)}; known: {', '.join(known)}"
+        )
+    return (
+        own[method]
+        if method in own
+        else packaged_declaration("observers", method, "METHOD", Method, own)
+    )

@@ -12,7 +12,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "approach_one_known",
-    "Approach I with Levant's differentiators and Zhang's observer, alpha2 and b known (fails as approach_one does)",
+    "Approach I with Levant's differentiators and Zhang's observer, alpha2 and b known (fails as"
+    " approach_one does)",
     "dixit2008 eq. (19)-(22) and section III, Approach II",
     "y_v",
     (*zhang.known_parameters("approach_one_known"), *approach_one.parameters("approach_one_known")),

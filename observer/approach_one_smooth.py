@@ -1,4 +1,6 @@
-"""Approach I for an input that is piecewise linear: its derivative is exact, and v the only output that is measured."""
+"""Approach I for an input that is piecewise linear: its derivative is exact, and v the only output
+that is measured.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,16 @@ import casadi as ca
 from bristle.model.variables import Parameter, State
 from bristle.observer import besancon, information, zhang
 from bristle.observer.approach_one import ALL, Entries, adapt, gain_parameters, regressor
-from bristle.observer.method import EquationContext, Method, Sample, Update, never_valid, stack, unstack, vector_states
+from bristle.observer.method import (
+    EquationContext,
+    Method,
+    Sample,
+    Update,
+    never_valid,
+    stack,
+    unstack,
+    vector_states,
+)
 
 SX = ca.SX
 MAX_REGRESSOR_ACCELERATION = 1e3  # rad/s2; larger estimates of v' are not used in the regressor
@@ -16,9 +27,9 @@ MAX_REGRESSOR_ACCELERATION = 1e3  # rad/s2; larger estimates of v' are not used 
 def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
     """Run the observer (6) with n = 2 on x1 = v, x2 = v' over the sample before the last.
 
-    Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G in x2 at its end are solved
-    for, as in the observer of step 2.
-    Source: dixit2008 eq. (6) and (19)-(22), the second option of Approach I; besancon2004.
+    Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G
+    in x2 at its end are solved for, as in the observer of step 2. Source: dixit2008 eq. (6) and
+    (19)-(22), the second option of Approach I; besancon2004.
     """
     p = context.p
     f = besancon.filter_of(context, s)
@@ -47,7 +58,12 @@ def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
     }
     return Update(
         next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
-        | {"x0": ca.if_else(ready, moved["x0"], s.y0), "y_before": s.y0, "u_before": s.u, "seen": SX(1)},
+        | {
+            "x0": ca.if_else(ready, moved["x0"], s.y0),
+            "y_before": s.y0,
+            "u_before": s.u,
+            "seen": SX(1),
+        },
         estimates=entries.estimates(p),
         **never_valid(entries.published),  # what it needs of the input is not seen in its signals
         signals={"v": p.x0},
@@ -66,10 +82,14 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare filter and gain under a method's name."""
     return (
         *(
-            Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.CITATION)
+            Parameter(
+                f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.CITATION
+            )
             for i, k in enumerate(besancon.K0, start=1)
         ),
-        Parameter(f"{prefix}.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.CITATION),
+        Parameter(
+            f"{prefix}.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.CITATION
+        ),
         *gain_parameters(prefix, 1.0),
     )
 
@@ -88,7 +108,8 @@ def states(entries: Entries) -> tuple[State, ...]:
 
 METHOD = Method(
     "approach_one_smooth",
-    "Approach I for a piecewise linear input: Besancon-Zhang-Hammouri observer of all eight entries",
+    "Approach I for a piecewise linear input: Besancon-Zhang-Hammouri observer of all eight"
+    " entries",
     "dixit2008 eq. (6) and (19)-(22)",
     "y_v",
     parameters("approach_one_smooth"),

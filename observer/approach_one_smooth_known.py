@@ -13,10 +13,14 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "approach_one_smooth_known",
-    "Approach I for a piecewise linear input with alpha2 and b known: Besancon-Zhang-Hammouri observer of four entries",
+    "Approach I for a piecewise linear input with alpha2 and b known: Besancon-Zhang-Hammouri"
+    " observer of four entries",
     "dixit2008 eq. (6), (19)-(22) and section III, Approach II",
     "y_v",
-    (*zhang.known_parameters("approach_one_smooth_known"), *approach_one_smooth.parameters("approach_one_smooth_known")),
+    (
+        *zhang.known_parameters("approach_one_smooth_known"),
+        *approach_one_smooth.parameters("approach_one_smooth_known"),
+    ),
     approach_one_smooth.states(FOUR),
     _equations,
 )

@@ -21,7 +21,9 @@ ESTIMATES = units("alpha2", "b", "Fc")
 
 @dataclass(frozen=True)
 class Settings:
-    """Gate vc in deg/s, c1 in 1/s, Gamma for (alpha2, b, Fc), in the units in which the step computes."""
+    """Gate vc in deg/s, c1 in 1/s, Gamma for (alpha2, b, Fc), in the units in which the step
+    computes.
+    """
 
     vc: float
     c1: float
@@ -32,10 +34,21 @@ REPAIRED = Settings(vc=0.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
 PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
 
 
-def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str = CITATION) -> tuple[Parameter, ...]:
+def gamma_parameters(
+    prefix: str, gains: tuple[float, float, float], source: str = CITATION
+) -> tuple[Parameter, ...]:
     """Declare the diagonal of Gamma for (alpha2, b, Fc)."""
     return tuple(
-        Parameter(f"{prefix}.gamma{i}", f"Gamma{i}", "1", gain, 0.0, 1e9, f"adaptation gain of {name}", source)
+        Parameter(
+            f"{prefix}.gamma{i}",
+            f"Gamma{i}",
+            "1",
+            gain,
+            0.0,
+            1e9,
+            f"adaptation gain of {name}",
+            source,
+        )
         for i, (name, gain) in enumerate(zip(ESTIMATES, gains, strict=True), start=1)
     )
 
@@ -43,7 +56,16 @@ def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str
 def start_parameters(prefix: str, source: str = CITATION) -> tuple[Parameter, ...]:
     """Declare the starts of the estimates."""
     return tuple(
-        Parameter(f"{prefix}.{name}_start", name, unit, 0.0, -1e6, 1e6, f"start of the estimate of {name}", source)
+        Parameter(
+            f"{prefix}.{name}_start",
+            name,
+            unit,
+            0.0,
+            -1e6,
+            1e6,
+            f"start of the estimate of {name}",
+            source,
+        )
         for name, unit in ESTIMATES.items()
     )
 
@@ -52,7 +74,9 @@ def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
     """Declare gate, gains and starts under a method's name."""
     return (
         step1.gate_parameter(prefix, settings.vc * DEGREE),
-        Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", CITATION),
+        Parameter(
+            f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", CITATION
+        ),
         *gamma_parameters(prefix, settings.gamma),
         *start_parameters(prefix),
     )
@@ -63,7 +87,12 @@ def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, 
     scale = {"alpha2": 1.0, "b": input_unit / velocity_unit, "Fc": 1.0 / velocity_unit}
     return (
         *(
-            State(f"step1_{name}", unit, f"estimate of {name}", initial=lambda p, n=name, k=scale[name]: p[f"{n}_start"] * k)
+            State(
+                f"step1_{name}",
+                unit,
+                f"estimate of {name}",
+                initial=lambda p, n=name, k=scale[name]: p[f"{n}_start"] * k,
+            )
             for name, unit in ESTIMATES.items()
         ),
         State("step1_v", "rad/s", "velocity estimate of step 1"),
@@ -74,10 +103,11 @@ def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, 
 def adapt(p: Namespace, s: Sample, vc: SX, entry: SX | None = None) -> dict[str, SX]:
     """Advance x^ and theta^ over one sample: x' = phi theta, phi = [-v, u, -sgn v], while |v| > vc.
 
-    Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b by c1 Ts/2), the
-    gradient is taken at the error that the new theta^ leaves, and of that error exp(-c1 Ts) remains: with theta~ for the
-    error of theta^, theta~' Gamma^-1 theta~ plus the square of the error never grows, whatever the gain. At gate entry x^ is
-    set to `entry`, or to the measured velocity.
+    Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b
+    by c1 Ts/2), the gradient is taken at the error that the new theta^ leaves, and of that error
+    exp(-c1 Ts) remains: with theta~ for the error of theta^, theta~' Gamma^-1 theta~ plus the
+    square of the error never grows, whatever the gain. At gate entry x^ is set to `entry`, or to
+    the measured velocity.
 
     Source: bastin1988 eq. (3); dixit2008 eq. (3) with n = 1, R = 0 and section IV-E.
     """
@@ -91,7 +121,10 @@ def adapt(p: Namespace, s: Sample, vc: SX, entry: SX | None = None) -> dict[str,
     theta_new = ca.if_else(gate, theta + s.period * gamma * phi * error, theta)
     x_new = ca.if_else(gate, s.y1 - ca.exp(-p.c1 * s.period) * error, s.y1)
     names = [f"step1_{name}" for name in ESTIMATES]
-    return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": gate}
+    return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {
+        "step1_v": x_new,
+        "step1_gate": gate,
+    }
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

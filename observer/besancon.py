@@ -20,16 +20,22 @@ def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
     return zhang.make_filter(context, ca.vertcat(p.k1, p.k2), p.lam, s.period)
 
 
-def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis) -> tuple[SX, SX]:
-    """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
+def predict(
+    f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis
+) -> tuple[SX, SX]:
+    """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi
+    theta.
 
-    v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the end of the sample
-    holds the unknown x2; being linear in it, it is solved for.
+    v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the
+    end of the sample holds the unknown x2; being linear in it, it is solved for.
 
     Source: dixit2008 section IV-E; zhang.py for the filter.
     """
     entries = slice(theta.numel())
-    psi0, psi1 = zhang.regressor(s.y0, x[1], phi)[:, entries], zhang.regressor(s.y1, SX(0), phi)[:, entries]
+    psi0, psi1 = (
+        zhang.regressor(s.y0, x[1], phi)[:, entries],
+        zhang.regressor(s.y1, SX(0), phi)[:, entries],
+    )
     f0 = ca.vertcat(-alpha2 * s.y0 + b * s.u, psi0 @ theta) + f.k * s.y0
     f1 = ca.vertcat(-alpha2 * s.y1 + b * s.u, psi1 @ theta) + f.k * s.y1
     x_new = zhang.ahead(f, x, f0, f1, ca.fabs(s.y1) * theta[3])
@@ -55,7 +61,12 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     estimates, signals = published(p, p.alpha2)
     beside, fields = step2.alone(context, s, estimates, step2.from_velocity(s))
-    return Update(step(context, s, filter_of(context, s), p.alpha2, p.b) | beside, **fields, signals=signals, first={"x0": s.y1})
+    return Update(
+        step(context, s, filter_of(context, s), p.alpha2, p.b) | beside,
+        **fields,
+        signals=signals,
+        first={"x0": s.y1},
+    )
 
 
 METHOD = Method(

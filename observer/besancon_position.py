@@ -16,22 +16,29 @@ MAX_REGRESSOR_SPEED = 10.0  # rad/s; larger velocity estimates are not used in t
 
 
 def chain(h: SX) -> tuple[SX, SX, SX]:
-    """Return (F, M0, M1): the exact step of three integrators, driven on rows v and w by inputs linear over the step.
+    """Return (F, M0, M1): the exact step of three integrators, driven on rows v and w by inputs
+    linear over the step.
 
     Source: vanloan1978, in closed form for a nilpotent matrix.
     """
     f = ca.vertcat(ca.horzcat(1, h, h**2 / 2), ca.horzcat(0, 1, h), ca.horzcat(0, 0, 1))
-    m0 = ca.vertcat(ca.horzcat(h**2 / 3, h**3 / 8), ca.horzcat(h / 2, h**2 / 3), ca.horzcat(0, h / 2))
-    m1 = ca.vertcat(ca.horzcat(h**2 / 6, h**3 / 24), ca.horzcat(h / 2, h**2 / 6), ca.horzcat(0, h / 2))
+    m0 = ca.vertcat(
+        ca.horzcat(h**2 / 3, h**3 / 8), ca.horzcat(h / 2, h**2 / 3), ca.horzcat(0, h / 2)
+    )
+    m1 = ca.vertcat(
+        ca.horzcat(h**2 / 6, h**3 / 24), ca.horzcat(h / 2, h**2 / 6), ca.horzcat(0, h / 2)
+    )
     return f, m0, m1
 
 
 def innovation_gain(lam: SX, h: SX) -> SX:
-    """Return the gain that puts all three error poles at exp(-lam h): K0 = [3, 3, 1] of (6), sampled.
+    """Return the gain that puts all three error poles at exp(-lam h): K0 = [3, 3, 1] of (6),
+    sampled.
 
-    A filter that holds the *position* linear between samples, as the second-order observer holds the velocity, loses
-    v' h^2/12, which its gain turns into an error of b; an innovation at the sampling instants loses nothing.
-    Source: besancon2004 eq. (6); poles by comparison of coefficients.
+    A filter that holds the *position* linear between samples, as the second-order observer holds
+    the velocity, loses v' h^2/12, which its gain turns into an error of b; an innovation at the
+    sampling instants loses nothing. Source: besancon2004 eq. (6); poles by comparison of
+    coefficients.
     """
     p = ca.exp(-lam * h)
     return ca.vertcat(1 - p**3, 1.5 * (1 - p) ** 2 * (1 + p) / h, (1 - p) ** 3 / h**2)
@@ -41,12 +48,14 @@ def _limited(v: SX) -> SX:
     return ca.fmin(ca.fmax(v, -MAX_REGRESSOR_SPEED), MAX_REGRESSOR_SPEED)
 
 
-def predict(x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX, phi: zhang.Basis) -> tuple[SX, SX]:
+def predict(
+    x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX, phi: zhang.Basis
+) -> tuple[SX, SX]:
     """Advance x^ = (theta^, v^, -w^) and Ups over one sample without correction.
 
-    The velocity at the end is predicted twice, the second time with the regressor of the first; the term c |v| x2 is
-    solved for, as in the second-order observer.
-    Source: dixit2008 eq. (15), (17) and the remark on position measurement at the end of section III.
+    The velocity at the end is predicted twice, the second time with the regressor of the first; the
+    term c |v| x2 is solved for, as in the second-order observer. Source: dixit2008 eq. (15), (17)
+    and the remark on position measurement at the end of section III.
     """
     f, m0, m1 = chain(h)
     va = _limited(x[1])
@@ -80,7 +89,12 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals)."""
-    return zhang.estimates(p, "mean"), {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
+    return zhang.estimates(p, "mean"), {
+        "theta": p.x0,
+        "v": p.x1,
+        "w": -p.x2,
+        "F": -p.x2 + alpha2 * p.x1,
+    }
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

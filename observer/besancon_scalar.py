@@ -15,14 +15,17 @@ SX = ca.SX
 UNIT = math.pi / 180.0  # the velocity is measured in deg/s, so that b u is in deg/s2 and c in 1/deg
 K0 = (100.0, 1000.0)
 LAM = 50.0
-LARGEST_STATE = 1e12  # deg/s, deg/s2 or the unit of a parameter; where the explicit step diverges, it ends there
+# deg/s, deg/s2 or the unit of a parameter; where the explicit step diverges, it ends there
+LARGEST_STATE = 1e12
 
 
 def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
-    """Return the next states, x^ in deg/s and deg/s2; theta^' = lam^n G' C0' (y - C0 x^), no projection.
+    """Return the next states, x^ in deg/s and deg/s2; theta^' = lam^n G' C0' (y - C0 x^), no
+    projection.
 
-    The step is implicit, which no gain makes unstable, or that of Euler's rule, which diverges where one sample adapts too much.
-    Source: dixit2008 eq. (6), with S = lam^(2n) I in the coordinates of zhang.py.
+    The step is implicit, which no gain makes unstable, or that of Euler's rule, which diverges
+    where one sample adapts too much. Source: dixit2008 eq. (6), with S = lam^(2n) I in the
+    coordinates of zhang.py.
     """
     p = context.p
     x, ups, theta, mean = zhang.read(p, 2, zhang.ESTIMATES)
@@ -32,7 +35,10 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
     error = degrees.y1 - x[0]
     implicit = zhang.gradient(ups, theta, error, gain, s.period, low=False)
     new = ca.if_else(p.implicit > 0, implicit, theta + s.period * gain * ups[0, :].T * error)
-    x, new = (ca.fmin(ca.fmax(each, -LARGEST_STATE), LARGEST_STATE) for each in (x + ups @ (new - theta), new))
+    x, new = (
+        ca.fmin(ca.fmax(each, -LARGEST_STATE), LARGEST_STATE)
+        for each in (x + ups @ (new - theta), new)
+    )
     return zhang.write(x, ups, new, mean, SX(1))
 
 
@@ -54,7 +60,9 @@ def printed_parameters(prefix: str) -> tuple[Parameter, ...]:
 def published(context: EquationContext, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals) in SI."""
     p = context.p
-    estimates = {name: p[f"raw_{name}"] / (UNIT if name == "c" else 1.0) for name in zhang.ESTIMATES}
+    estimates = {
+        name: p[f"raw_{name}"] / (UNIT if name == "c" else 1.0) for name in zhang.ESTIMATES
+    }
     v, w = p.x0 * UNIT, -p.x1 * UNIT
     return estimates, {"v": v, "w": w, "F": w + alpha2 * v}
 

@@ -13,7 +13,9 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     velocity, states = smoothing.smooth(p, s)
     estimates, signals = drem.published(p, p.smoother0, p.alpha2)
     beside, fields = step2.alone(context, velocity, estimates, step2.from_position(p, s))
-    return Update(states | drem.step(p, velocity, p.alpha2, p.b) | beside, **fields, signals=signals)
+    return Update(
+        states | drem.step(p, velocity, p.alpha2, p.b) | beside, **fields, signals=signals
+    )
 
 
 METHOD = Method(

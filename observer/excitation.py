@@ -1,8 +1,9 @@
-"""The clock of an estimator that learns from reversals: it runs for a while after each, and stands still in rest and slow arcs.
+"""The clock of an estimator that learns from reversals: it runs for a while after each, and stands
+still in rest and slow arcs.
 
-Friction shows near zero velocity, and what a record teaches of it comes in passages through zero. Schedules that run by this
-clock (early noise, memory, a start) depend on what has been excited, not on how long the record is.
-Source: ljung1999 section 13.2 (persistent excitation).
+Friction shows near zero velocity, and what a record teaches of it comes in passages through zero.
+Schedules that run by this clock (early noise, memory, a start) depend on what has been excited, not
+on how long the record is. Source: ljung1999 section 13.2 (persistent excitation).
 """
 
 from __future__ import annotations
@@ -16,13 +17,18 @@ from bristle.model.variables import Namespace, State
 SX = ca.SX
 CLEAR_SHARE = 0.1  # of the rms speed, above which the direction of motion counts
 FRESH_TIME = 1.0  # s after a reversal in which time counts
-LOAD_DRIFT = 1e-3  # 1/s, variance over Fc^2 by which a load torque may drift while the servo rests, when nothing shows it
-COUNTS_OF_NOISE = 2.0  # steps of the sensor within the filter's time constant, below which a speed is noise
+# 1/s, variance over Fc^2 by which a load torque may drift while the servo rests, when nothing shows
+# it
+LOAD_DRIFT = 1e-3
+# steps of the sensor within the filter's time constant, below which a speed is noise
+COUNTS_OF_NOISE = 2.0
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a sample adds: `time` that counts (s), whether the motion `reverses`, rms speed so far, and the next states."""
+    """What a sample adds: `time` that counts (s), whether the motion `reverses`, rms speed so far,
+    and the next states.
+    """
 
     time: SX
     reverses: SX
@@ -61,7 +67,8 @@ def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
     clear = ca.logic_and(moving, ca.fabs(speed) > CLEAR_SHARE * ca.sqrt(square))
     reverses = ca.logic_and(clear, ca.sign(speed) != p.direction)
     since = ca.if_else(reverses, 0, p.since_reversal + period)
-    counts = ca.logic_and(since < FRESH_TIME, p.reversals > 1)  # the first one is the beginning of the motion
+    # the first one is the beginning of the motion
+    counts = ca.logic_and(since < FRESH_TIME, p.reversals > 1)
     states = {
         "direction": ca.if_else(clear, ca.sign(speed), p.direction),
         "since_reversal": since,
@@ -75,14 +82,17 @@ def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
 def rest(before: SX, moves: SX, period: SX) -> tuple[SX, SX]:
     """Return (time since motion was last seen, whether the servo rests) after a sample.
 
-    In rest nothing is learnt or forgotten, and what acts from outside may change unseen. A record begins in rest.
+    In rest nothing is learnt or forgotten, and what acts from outside may change unseen. A record
+    begins in rest.
     """
     since = ca.if_else(moves, 0, ca.fmin(before + period, FRESH_TIME))
     return since, since >= FRESH_TIME
 
 
 def drifted(before: SX, rests: SX, square: SX, period: SX) -> SX:
-    """Return the variance by which the load may have changed in this rest, up to `square`, that of dry friction; 0 in motion."""
+    """Return the variance by which the load may have changed in this rest, up to `square`, that of
+    dry friction; 0 in motion.
+    """
     return SX(ca.if_else(rests, ca.fmin(before + period * LOAD_DRIFT * square, square), 0))
 
 
@@ -93,4 +103,9 @@ def drifted_state() -> State:
 
 def rest_state(name: str = "rest") -> State:
     """Declare the time since motion was last seen."""
-    return State(name, "s", "time since motion was last seen, up to that from which the servo rests", initial=FRESH_TIME)
+    return State(
+        name,
+        "s",
+        "time since motion was last seen, up to that from which the servo rests",
+        initial=FRESH_TIME,
+    )

@@ -1,4 +1,5 @@
-"""Kreisselmeier's regressor extension: one equation z = h' theta becomes as many as there are parameters.
+"""Kreisselmeier's regressor extension: one equation z = h' theta becomes as many as there are
+parameters.
 
     Phi' = -q Phi + h h',   Y' = -q Y + h z,   so that Phi theta = Y at any time: the last 1/q seconds of the record.
 
@@ -11,7 +12,14 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
+from bristle.observer.method import (
+    stack,
+    stack_symmetric,
+    symmetric_states,
+    unstack,
+    unstack_symmetric,
+    vector_states,
+)
 
 SX = ca.SX
 
@@ -26,7 +34,16 @@ def states(n: int) -> tuple[State, ...]:
 
 def parameter(prefix: str, q: float) -> Parameter:
     """Declare the rate of forgetting."""
-    return Parameter(f"{prefix}.fading", "q", "1/s", q, 1e-6, 1e3, "rate at which the extension forgets", "kreisselmeier1977")
+    return Parameter(
+        f"{prefix}.fading",
+        "q",
+        "1/s",
+        q,
+        1e-6,
+        1e3,
+        "rate at which the extension forgets",
+        "kreisselmeier1977",
+    )
 
 
 def read(p: Namespace, n: int) -> tuple[SX, SX]:
@@ -40,7 +57,8 @@ def write(phi: SX, y: SX) -> dict[str, SX]:
 
 
 def extend(p: Namespace, h: SX, z: SX, period: SX, left: float | SX = 1.0) -> tuple[SX, SX]:
-    """Advance Phi and Y, of which the share `left` counts still, over a sample with h and z held, exactly.
+    """Advance Phi and Y, of which the share `left` counts still, over a sample with h and z held,
+    exactly.
 
     Source: kreisselmeier1977.
     """

@@ -1,7 +1,8 @@
-"""Step 1 as a filtered regression: z = F' theta with F' = a (f - F), f = [-v, u, -sgn v], z the same filter on v'.
+"""Step 1 as a filtered regression: z = F' theta with F' = a (f - F), f = [-v, u, -sgn v], z the
+same filter on v'.
 
-What adapts on it (Kreisselmeier, Luders and Narendra) does not see whether velocity or position was measured: from
-position the regression of rls.py takes the place of this one.
+What adapts on it (Kreisselmeier, Luders and Narendra) does not see whether velocity or position was
+measured: from position the regression of rls.py takes the place of this one.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from bristle.observer.rls import ESTIMATES
 SX = ca.SX
 COLUMNS = 7
 STATES = (
-    *vector_states("filtered", "1", "filtered v', -v, u, -sgn v, 1, u', -sgn v times what falls with speed", COLUMNS),
+    *vector_states(
+        "filtered",
+        "1",
+        "filtered v', -v, u, -sgn v, 1, u', -sgn v times what falls with speed",
+        COLUMNS,
+    ),
     State("input_before", "V", "input before the last one"),
     *step1.STATES,
 )
@@ -27,13 +33,17 @@ NOISES = 3.0  # standard deviations of the velocity below which it is noise
 def noise_parameter(prefix: str) -> Parameter:
     """Declare the noise of the measured velocity under a method's name."""
     text = "standard deviation of the measured velocity"
-    return Parameter(f"{prefix}.noise", "sd(v)", "rad/s", 1e-3, 0.0, 1e3, text, "ljung1999 section 11.2")
+    return Parameter(
+        f"{prefix}.noise", "sd(v)", "rad/s", 1e-3, 0.0, 1e3, text, "ljung1999 section 11.2"
+    )
 
 
 def filter_parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
     """Declare filter and noise of the sensor under a method's name."""
     source = "luders1973; dixit2008 eq. (23)"
-    corner = Parameter(f"{prefix}.cutoff", "a", "1/s", cutoff, 1e-3, 1e5, "corner of the filter", source)
+    corner = Parameter(
+        f"{prefix}.cutoff", "a", "1/s", cutoff, 1e-3, 1e5, "corner of the filter", source
+    )
     return (corner, noise_parameter(prefix))
 
 
@@ -61,12 +71,13 @@ def gate(p: Namespace) -> SX:
 
 
 def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
-    """Return (sample, next states of what all methods of step 1 from velocity share); `kept`: share that a sample leaves.
+    """Return (sample, next states of what all methods of step 1 from velocity share); `kept`: share
+    that a sample leaves.
 
-    Both sides of v' = f' theta are filtered alike, which leaves the equation exact; at gate entry the filters start from zero.
-    Over a sample v' is the difference of two velocities and f its mean. The filtered difference of white noise has the variance
-    g^2 / Ts^2 (1 + g / (2 - g)) of the noise, g = 1 - exp(-a Ts).
-    Source: luders1973; dixit2008 eq. (23); widrow2008 chapter 1.
+    Both sides of v' = f' theta are filtered alike, which leaves the equation exact; at gate entry
+    the filters start from zero. Over a sample v' is the difference of two velocities and f its
+    mean. The filtered difference of white noise has the variance g^2 / Ts^2 (1 + g / (2 - g)) of
+    the noise, g = 1 - exp(-a Ts). Source: luders1973; dixit2008 eq. (23); widrow2008 chapter 1.
     """
     h, vc = s.period, gate(p)
     f = regressor(s)
@@ -89,7 +100,9 @@ def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
 
 
 def velocity(p: Namespace, theta: SX) -> SX:
-    """Return the observer's velocity x0 + F' theta / a, with x0 = v - z / a the measured velocity after the filter."""
+    """Return the observer's velocity x0 + F' theta / a, with x0 = v - z / a the measured velocity
+    after the filter.
+    """
     filtered = stack(p, "filtered", 4)
     return SX(p.last_y + (ca.dot(filtered[1:], theta) - filtered[0]) / p.cutoff)
 
@@ -97,7 +110,12 @@ def velocity(p: Namespace, theta: SX) -> SX:
 def estimate_states() -> tuple[State, ...]:
     """Declare the estimates with their starts."""
     return tuple(
-        State(f"theta{i}", unit, f"estimate of {name}", initial=lambda p, name=name: p[f"{name}_start"])
+        State(
+            f"theta{i}",
+            unit,
+            f"estimate of {name}",
+            initial=lambda p, name=name: p[f"{name}_start"],
+        )
         for i, (name, unit) in enumerate(ESTIMATES.items())
     )
 

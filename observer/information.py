@@ -1,7 +1,8 @@
-"""Least squares in information form, shared by the least-squares methods: the matrix as states, and its factors.
+"""Least squares in information form, shared by the least-squares methods: the matrix as states, and
+its factors.
 
-The information of a row h is h h'; sums of it can neither lose their sign nor, with a prior, wind up, whatever the input.
-Source: ljung1999 section 11.2.
+The information of a row h is h h'; sums of it can neither lose their sign nor, with a prior, wind
+up, whatever the input. Source: ljung1999 section 11.2.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from bristle.model.variables import Namespace, State
 from bristle.observer.method import stack_symmetric, symmetric_states, unstack_symmetric
 
 SX = ca.SX
-SINGULAR_BELOW = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
+# share of each diagonal entry that keeps the elimination from dividing by zero
+SINGULAR_BELOW = 1e-12
 ZERO_ENTRY = 1e-150  # entries up to this size count as zero
 
 
@@ -32,10 +34,12 @@ def write(matrix: SX, name: str = "information") -> dict[str, SX]:
 
 
 class Factors:
-    """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a tiny share of itself.
+    """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a tiny share of
+    itself.
 
-    Where a column is a combination of others, an entry of D would be zero or, by rounding, negative; it stays positive.
-    `shares` tell of each variable how much of it the ones before it do not explain; 0 where there is nothing of it.
+    Where a column is a combination of others, an entry of D would be zero or, by rounding,
+    negative; it stays positive. `shares` tell of each variable how much of it the ones before it do
+    not explain; 0 where there is nothing of it.
     """
 
     def __init__(self, matrix: SX) -> None:
@@ -48,7 +52,9 @@ class Factors:
             self.d[j] = own - sum(self.l[j][k] * scaled[k] for k in range(j))
             self.shares[j] = ca.if_else(matrix[j, j] > ZERO_ENTRY, self.d[j] / own, 0)
             for i in range(j + 1, n):
-                self.l[i][j] = (matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))) / self.d[j]
+                self.l[i][j] = (
+                    matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))
+                ) / self.d[j]
 
     def solve(self, rhs: SX) -> SX:
         """Return the solution for one right-hand side."""
@@ -61,7 +67,8 @@ class Factors:
         return ca.vertcat(*x)
 
     def regression(self, count: int | None = None) -> SX:
-        """Return the coefficients that explain the last variable by the first `count`, or by all others.
+        """Return the coefficients that explain the last variable by the first `count`, or by all
+        others.
 
         Of the last variable, all others leave `d[-1]` unexplained.
         """
@@ -80,7 +87,9 @@ class Factors:
         return SX(sum(x**2 / self.d[i] for i, x in enumerate(forward)))
 
     def inverse_diagonal(self, count: int | None = None) -> SX:
-        """Return the diagonal of the inverse (L^-1)' D^-1 L^-1, of the whole matrix or of that of the first `count`."""
+        """Return the diagonal of the inverse (L^-1)' D^-1 L^-1, of the whole matrix or of that of
+        the first `count`.
+        """
         n, total = self.n if count is None else count, []
         for i in range(n):
             column = [SX(0)] * i + [SX(1)]

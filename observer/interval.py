@@ -37,7 +37,10 @@ class Interval:
     def over(self, other: Interval) -> Interval:
         """Return the quotient by an interval that does not contain zero."""
         ends = [a / b for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
-        return Interval(ca.fmin(ca.fmin(*ends[:2]), ca.fmin(*ends[2:])), ca.fmax(ca.fmax(*ends[:2]), ca.fmax(*ends[2:])))
+        return Interval(
+            ca.fmin(ca.fmin(*ends[:2]), ca.fmin(*ends[2:])),
+            ca.fmax(ca.fmax(*ends[:2]), ca.fmax(*ends[2:])),
+        )
 
     def exp(self) -> Interval:
         """Return e to the power of the interval."""
@@ -45,7 +48,12 @@ class Interval:
 
     def log(self) -> Interval:
         """Return the logarithm of what is positive in the interval."""
-        return Interval(*(ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -LARGE_LOGARITHM) for x in (self.lo, self.hi)))
+        return Interval(
+            *(
+                ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -LARGE_LOGARITHM)
+                for x in (self.lo, self.hi)
+            )
+        )
 
     def meet(self, other: Interval) -> Interval:
         """Return the intersection, which is empty where lo > hi."""

@@ -1,7 +1,9 @@
-"""What the joint filters with constant noise share: step 1 before them, their covariance as standard deviations, and validity.
+"""What the joint filters with constant noise share: step 1 before them, their covariance as
+standard deviations, and validity.
 
-Least squares at high speed give alpha2, b, Fc and the load torque; when these are known well enough the filter starts with them.
-What it claims to know is its covariance, enlarged as much as its estimates move more than that allows (consistency.py).
+Least squares at high speed give alpha2, b, Fc and the load torque; when these are known well enough
+the filter starts with them. What it claims to know is its covariance, enlarged as much as its
+estimates move more than that allows (consistency.py).
 """
 
 from __future__ import annotations
@@ -20,19 +22,22 @@ from bristle.observer.method import EquationContext, Sample, Update, stack
 
 SX = ca.SX
 NOISE_CITATION = "jazwinski1970 chapter 8"
-SENSOR_TIME = (0.3, 20.0)  # s, over which the innovations are compared with the sensor: at a start, and late
+# s, over which the innovations are compared with the sensor: at a start, and late
+SENSOR_TIME = (0.3, 20.0)
 LARGEST_RATIO = 100.0  # most that one squared innovation counts over the variance of the sensor
 PREFIX = "joint_"  # of what consistency.py keeps of the filter, beside what it keeps of step 1
-JOINT_START_SHARE = 0.05  # standard deviation of alpha2 and b over themselves at which the filter begins: it improves them
+# standard deviation of alpha2 and b over themselves at which the filter begins: it improves them
+JOINT_START_SHARE = 0.05
 JUDGED_FROM = 5.0  # s after a start from which estimates may be valid
 
 
 @dataclass(frozen=True)
 class Filter:
-    """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their bounds.
+    """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their
+    bounds.
 
-    `start` returns entries and standard deviations, `bounds` the least and the largest value of some of them, by place in the
-    vector.
+    `start` returns entries and standard deviations, `bounds` the least and the largest value of
+    some of them, by place in the vector.
     """
 
     names: tuple[str, ...]
@@ -44,7 +49,9 @@ class Filter:
 
     @property
     def load(self) -> int | None:
-        """Place of the load torque among the entries, which may change unseen while the servo rests."""
+        """Place of the load torque among the entries, which may change unseen while the servo
+        rests.
+        """
         return self.names.index("load") if "load" in self.names else None
 
     @property
@@ -64,7 +71,9 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     runs = p.step2_runs > 0
     now, uncertainty = kalman.read(p, f.order)
     z, covariance = f.predict(p, now, uncertainty, s)
-    rates = ca.vertcat(0, p.noise_v, p.noise_w, p.noise_parameters * stack(p, "spread", len(f.names)) ** 2)
+    rates = ca.vertcat(
+        0, p.noise_v, p.noise_w, p.noise_parameters * stack(p, "spread", len(f.names)) ** 2
+    )
     quantum = kalman.rounding(p.resolution)
     error = s.y1 + p.resolution / 2 - z[0]
     before = kalman.noisy(covariance, ca.vertsplit(rates), h)
@@ -75,11 +84,15 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
         square = f.estimates(now[MOTION_STATES:])["Fc"] ** 2
         drifted["drifted"] = ca.if_else(runs, excitation.drifted(p.drifted, rests, square, h), 0)
     z, covariance, size = kalman.correct(z, before, error, quantum, p.gate)
-    lost = before[MOTION_STATES:, 0] ** 2 / ((before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2))
+    lost = before[MOTION_STATES:, 0] ** 2 / (
+        (before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2)
+    )
     z = kalman.bounded(z, covariance, *f.bounds(p))
     entries, spread = f.start(p, fields["estimates"])
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, entries)
-    motion = ca.vertcat(p.resolution, 0.5 * ca.fabs(p.last_v) + 1, ca.fabs(fields["estimates"]["Fc"]) + 1)
+    motion = ca.vertcat(
+        p.resolution, 0.5 * ca.fabs(p.last_v) + 1, ca.fabs(fields["estimates"]["Fc"]) + 1
+    )
     first, last = SENSOR_TIME
     share = h / (first + ca.fmin(p.age, last))
     ratio = ca.fmin(error**2 / quantum, LARGEST_RATIO)
@@ -89,11 +102,19 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
         next={
             **rls.fit(p, s),
             **beside,
-            **kalman.write(ca.if_else(runs, z, waiting), ca.if_else(runs, covariance, ca.diag(ca.vertcat(motion, spread) ** 2))),
+            **kalman.write(
+                ca.if_else(runs, z, waiting),
+                ca.if_else(runs, covariance, ca.diag(ca.vertcat(motion, spread) ** 2)),
+            ),
             **consistency.blocks(p, z[MOTION_STATES:], lost, (p.age, h, runs), prefix=PREFIX),
-            **{f"spread{i}": ca.if_else(runs, p[f"spread{i}"], spread[i]) for i in range(len(f.names))},
+            **{
+                f"spread{i}": ca.if_else(runs, p[f"spread{i}"], spread[i])
+                for i in range(len(f.names))
+            },
             "age": ca.if_else(runs, p.age + h, 0),
-            "innovation_sensor": ca.if_else(runs, p.innovation_sensor + share * (ratio - p.innovation_sensor), 1),
+            "innovation_sensor": ca.if_else(
+                runs, p.innovation_sensor + share * (ratio - p.innovation_sensor), 1
+            ),
             "step2_runs": go,
             **drifted,
         },
@@ -104,7 +125,8 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
 
 
 def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of an `Update`; an estimate is valid while the innovations are about what the sensor explains.
+    """Return the fields of an `Update`; an estimate is valid while the innovations are about what
+    the sensor explains.
 
     The doubts of the least squares of step 2, on the same record, are added to those of the filter.
     Source: jazwinski1970 chapter 8; mehra1970.
@@ -120,7 +142,9 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
     sound = ca.logic_and(p.age > JUDGED_FROM, p.innovation_sensor < p.innovation_limit)
     common = {name: x for name, x in estimates.items() if name != "tau"}
     judged = swapping.worth(p, step2.COMPANION, common, step2.from_position(p, s))
-    sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in sd if name in judged.limits}
+    sd |= {
+        name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in sd if name in judged.limits
+    }
     sound = ca.logic_and(sound, judged.possible)
     limits = {name: step1.VALID_SHARE * swapping.size_of(estimates, name) for name in estimates}
     return {
@@ -142,9 +166,29 @@ def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tup
         width_parameter(prefix),
         step2.start_parameter(prefix),
         smoothing.parameter(prefix),
-        Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", noise_v, 0.0, 1e9, "process noise of v", NOISE_CITATION),
-        Parameter(f"{prefix}.noise_w", "q_w", "rad2/s5", noise_w, 0.0, 1e9, "process noise of w", NOISE_CITATION),
-        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, share, NOISE_CITATION),
+        Parameter(
+            f"{prefix}.noise_v",
+            "q_v",
+            "rad2/s3",
+            noise_v,
+            0.0,
+            1e9,
+            "process noise of v",
+            NOISE_CITATION,
+        ),
+        Parameter(
+            f"{prefix}.noise_w",
+            "q_w",
+            "rad2/s5",
+            noise_w,
+            0.0,
+            1e9,
+            "process noise of w",
+            NOISE_CITATION,
+        ),
+        Parameter(
+            f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, share, NOISE_CITATION
+        ),
         Parameter(f"{prefix}.innovation_limit", "r_v", "1", limit, 1.0, 1e12, most, "mehra1970"),
     )
 
@@ -156,9 +200,17 @@ def states(f: Filter) -> tuple[State, ...]:
         *rls.STATES,
         *kalman.states(f"theta, v, w, {', '.join(f.names)}", "covariance of the vector", f.order),
         *consistency.states(n, PREFIX),
-        *(State(f"spread{i}", "1", f"standard deviation of {name} at the start") for i, name in enumerate(f.names)),
+        *(
+            State(f"spread{i}", "1", f"standard deviation of {name} at the start")
+            for i, name in enumerate(f.names)
+        ),
         State("age", "s", "time since the filter began"),
-        State("innovation_sensor", "1", "mean squared innovation over the variance of the sensor, of late", initial=1.0),
+        State(
+            "innovation_sensor",
+            "1",
+            "mean squared innovation over the variance of the sensor, of late",
+            initial=1.0,
+        ),
         *((excitation.drifted_state(),) if f.load is not None else ()),
         *step2.SMOOTHING_STATES,
         *step2.STATES,

@@ -1,6 +1,8 @@
-"""The joint extended Kalman filter as it is commonly set up: constant process noise, the paper's parameters as entries.
+"""The joint extended Kalman filter as it is commonly set up: constant process noise, the paper's
+parameters as entries.
 
-Least squares at high speed give alpha2 and b first; the filter then runs on all parameters, from position alone.
+Least squares at high speed give alpha2 and b first; the filter then runs on all parameters, from
+position alone.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 JOINT_ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
-START_VALUES = {"sigma0": 300.0, "sigma1": 0.0, "sigma2": 0.0, "c": 100.0, "tau": 0.0}  # round numbers, not taken from a plant
+# round numbers, not taken from a plant
+START_VALUES = {"sigma0": 300.0, "sigma1": 0.0, "sigma2": 0.0, "c": 100.0, "tau": 0.0}
 SPREADS = (1.0, 1.0, 500.0, 500.0, 500.0, 100.0, 0.01)  # of the entries at the start
 LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0, "tau": 0.0}
 HIGHEST = {"tau": 1.0}
@@ -46,7 +49,9 @@ def _predict(p: Namespace, z: SX, covariance: SX, s: Sample) -> tuple[SX, SX]:
 
 def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     place = {name: MOTION_STATES + i for i, name in enumerate(JOINT_ENTRIES)}
-    return {place[n]: SX(x) for n, x in LOWEST.items()}, {place[n]: SX(x) for n, x in HIGHEST.items()}
+    return {place[n]: SX(x) for n, x in LOWEST.items()}, {
+        place[n]: SX(x) for n, x in HIGHEST.items()
+    }
 
 
 FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds)
@@ -58,14 +63,21 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "joint_ekf",
-    "joint extended Kalman filter from position with constant noise, after least squares have converged",
+    "joint extended Kalman filter from position with constant noise, after least squares have"
+    " converged",
     "jazwinski1970 chapter 8 with the model of dixit2008 eq. (15)-(17)",
     "y_theta",
     (
         *joint.parameters("joint_ekf", 0.1, 10.0, 10.0),
         *(
             Parameter(
-                f"joint_ekf.{name}_start", name, JOINT_ENTRIES[name], start, -1e9, 1e9, f"start of the estimate of {name}",
+                f"joint_ekf.{name}_start",
+                name,
+                JOINT_ENTRIES[name],
+                start,
+                -1e9,
+                1e9,
+                f"start of the estimate of {name}",
                 joint.NOISE_CITATION,
             )
             for name, start in START_VALUES.items()
@@ -73,4 +85,4 @@ METHOD = Method(
     ),
     joint.states(FILTER),
     _equations,
-)  # fmt: skip
+)

@@ -1,7 +1,8 @@
-"""The joint unscented Kalman filter: the model of the extended one, carried by points in the place of derivatives.
+"""The joint unscented Kalman filter: the model of the extended one, carried by points in the place
+of derivatives.
 
-Its entries are the friction levels G_i = sigma_i / c and ln c, as in self_starting_ekf, tau and a load torque; noise is constant as
-in joint_ekf.
+Its entries are the friction levels G_i = sigma_i / c and ln c, as in self_starting_ekf, tau and a
+load torque; noise is constant as in joint_ekf.
 """
 
 from __future__ import annotations
@@ -28,11 +29,15 @@ def _servo(p: Namespace, entries: SX) -> kalman.Servo:
     """Read the parameters from (alpha2, b, G0, G1, G2, ln c, tau, load)."""
     alpha2, b, *levels, ln_c, tau, load = ca.vertsplit(entries)
     c = ca.exp(ca.fmin(ln_c, LARGEST_LN_C))
-    return kalman.Servo(alpha2, b, [c * level for level in levels], c, ca.fmax(tau, 0), load, width=p.width)
+    return kalman.Servo(
+        alpha2, b, [c * level for level in levels], c, ca.fmax(tau, 0), load, width=p.width
+    )
 
 
 def _estimates(entries: SX) -> dict[str, SX]:
-    """Return the parameters; Coulomb friction is the level at high speed, where no basis function is left."""
+    """Return the parameters; Coulomb friction is the level at high speed, where no basis function
+    is left.
+    """
     alpha2, b, *levels, ln_c, tau, load = ca.vertsplit(entries)
     c = ca.exp(ca.fmin(ln_c, LARGEST_LN_C))
     sigma = {f"sigma{i}": c * level for i, level in enumerate(levels)}
@@ -42,17 +47,22 @@ def _estimates(entries: SX) -> dict[str, SX]:
 def _start(p: Namespace, found: Mapping[str, SX]) -> tuple[SX, SX]:
     """Return entries and standard deviations at the start, by what step 1 has found."""
     level = ca.fmax(found["Fc"], ca.fabs(found["Fc"]) * SMALLEST_LEVEL + 1e-9)
-    entries = ca.vertcat(found["alpha2"], found["b"], level, 0, 0, ca.log(p.c_start), 0, found["load"])
+    entries = ca.vertcat(
+        found["alpha2"], found["b"], level, 0, 0, ca.log(p.c_start), 0, found["load"]
+    )
     alpha2, b = SHARES["alpha2"] * ca.fabs(found["alpha2"]), SHARES["b"] * ca.fabs(found["b"])
-    return entries, ca.vertcat(alpha2, b, level, level, level, LN_C_SD, p.tau_spread, SHARES["load"] * level)
+    return entries, ca.vertcat(
+        alpha2, b, level, level, level, LN_C_SD, p.tau_spread, SHARES["load"] * level
+    )
 
 
 def _predict(p: Namespace, z: SX, covariance: SX, s: Sample) -> tuple[SX, SX]:
     """Return (z, P) at the end of a sample, without process noise, from the ends of 2 n + 1 points.
 
-    The points lie `spread` standard deviations off along the columns of a triangular root of P. The covariance is taken
-    about the end of the point in the middle, whose weight may be negative: so it stays positive. Entries behind the states stay.
-    Source: julier2004; wan2000 (states and parameters as one vector).
+    The points lie `spread` standard deviations off along the columns of a triangular root of P. The
+    covariance is taken about the end of the point in the middle, whose weight may be negative: so
+    it stays positive. Entries behind the states stay. Source: julier2004; wan2000 (states and
+    parameters as one vector).
     """
     factors, n = information.Factors(covariance), z.numel()
     weight = 1 / (2 * p.spread**2)
@@ -61,9 +71,15 @@ def _predict(p: Namespace, z: SX, covariance: SX, s: Sample) -> tuple[SX, SX]:
         return kalman.sample(point[:MOTION_STATES], _servo(p, point[MOTION_STATES:]), s.u, s.period)
 
     middle = moved(z)
-    mean, states, crossed = middle, SX(MOTION_STATES, MOTION_STATES), SX(MOTION_STATES, n - MOTION_STATES)
+    mean, states, crossed = (
+        middle,
+        SX(MOTION_STATES, MOTION_STATES),
+        SX(MOTION_STATES, n - MOTION_STATES),
+    )
     for j in range(n):
-        root = ca.sqrt(ca.fabs(factors.d[j])) * ca.vertcat(*([SX(0)] * j), 1, *(factors.l[i][j] for i in range(j + 1, n)))
+        root = ca.sqrt(ca.fabs(factors.d[j])) * ca.vertcat(
+            *([SX(0)] * j), 1, *(factors.l[i][j] for i in range(j + 1, n))
+        )
         for step in (p.spread * root, -p.spread * root):
             off = moved(z + step) - middle
             mean = mean + weight * off
@@ -77,8 +93,14 @@ def _predict(p: Namespace, z: SX, covariance: SX, s: Sample) -> tuple[SX, SX]:
 
 def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     places = {name: MOTION_STATES + i for i, name in enumerate(UKF_ENTRIES)}
-    least = SMALLEST_LEVEL * p.spread2  # the level of Coulomb friction at the start is its standard deviation there
-    return {places["alpha2"]: SX(0), places["G0"]: least, places["ln c"]: SX(0), places["tau"]: SX(0)}, {
+    # the level of Coulomb friction at the start is its standard deviation there
+    least = SMALLEST_LEVEL * p.spread2
+    return {
+        places["alpha2"]: SX(0),
+        places["G0"]: least,
+        places["ln c"]: SX(0),
+        places["tau"]: SX(0),
+    }, {
         places["ln c"]: SX(LARGEST_LN_C),
         places["tau"]: SX(LONGEST_TAU),
     }
@@ -93,17 +115,41 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "joint_ukf",
-    "joint unscented Kalman filter from position with constant noise, after least squares have converged",
+    "joint unscented Kalman filter from position with constant noise, after least squares have"
+    " converged",
     "julier2004, wan2000 with the model of dixit2008 eq. (15)-(17)",
     "y_theta",
     (
         *joint.parameters("joint_ukf", 1e-3, 1.0, 4.0),
         Parameter(
-            "joint_ukf.tau_spread", "sd(tau)", "s", 0.01, 0.0, 1.0, "how far tau may be from 0 at first", joint.NOISE_CITATION
+            "joint_ukf.tau_spread",
+            "sd(tau)",
+            "s",
+            0.01,
+            0.0,
+            1.0,
+            "how far tau may be from 0 at first",
+            joint.NOISE_CITATION,
         ),
-        Parameter("joint_ukf.c_start", "c", "1/rad", 100.0, 1.0, 1e6, "start of the estimate of c", "dixit2008 eq. (17)"),
         Parameter(
-            "joint_ukf.spread", "s", "1", 1.7320508, 1e-3, 10.0, "distance of the points in standard deviations", "julier2004"
+            "joint_ukf.c_start",
+            "c",
+            "1/rad",
+            100.0,
+            1.0,
+            1e6,
+            "start of the estimate of c",
+            "dixit2008 eq. (17)",
+        ),
+        Parameter(
+            "joint_ukf.spread",
+            "s",
+            "1",
+            1.7320508,
+            1e-3,
+            10.0,
+            "distance of the points in standard deviations",
+            "julier2004",
         ),
     ),
     joint.states(FILTER),

@@ -1,4 +1,6 @@
-"""Step 1 with Kreisselmeier's adaptation, whose gradient is that of all past errors, with exponential forgetting."""
+"""Step 1 with Kreisselmeier's adaptation, whose gradient is that of all past errors, with
+exponential forgetting.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,13 @@ def kept(p: Namespace, s: Sample) -> SX:
 
 
 def adapt(p: Namespace, r: Row, left: SX, period: SX) -> dict[str, SX]:
-    """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any gain.
+    """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any
+    gain.
 
     `left`: share of Phi and Y that counts still.
 
-    Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting, and none of its pivots is lost to rounding.
-    Source: kreisselmeier1977.
+    Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting, and none of its pivots is
+    lost to rounding. Source: kreisselmeier1977.
     """
     theta = stack(p, "theta", ENTRIES)
     phi, y = extension.extend(p, r.h, r.z, period, left)

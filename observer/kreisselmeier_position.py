@@ -10,7 +10,9 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = rls.observe(p, s, kreisselmeier.kept(p, s))
     new = shared | kreisselmeier.adapt(p, sample, step1.left(p, shared), s.period)
-    return Update(new, **step1.published(p, kreisselmeier.estimates(p), s.period), signals={"v": p.last_v})
+    return Update(
+        new, **step1.published(p, kreisselmeier.estimates(p), s.period), signals={"v": p.last_v}
+    )
 
 
 METHOD = Method(

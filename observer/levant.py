@@ -1,7 +1,8 @@
 """Levant's robust exact differentiators, by which a method may differentiate its measurements.
 
-Both are exact in finite time for a signal whose next derivative is bounded by `limit`; sampled at the period h they leave
-errors of the size limit h^2 (first order, of f'), limit h^2 and limit h (second order, of f' and f'').
+Both are exact in finite time for a signal whose next derivative is bounded by `limit`; sampled at
+the period h they leave errors of the size limit h^2 (first order, of f'), limit h^2 and limit h
+(second order, of f' and f'').
 """
 
 from __future__ import annotations
@@ -22,11 +23,15 @@ def first_order(z: SX, f: SX, limit: SX, h: SX) -> SX:
     Source: levant1998.
     """
     e = z[0] - f
-    return ca.vertcat(z[0] + h * (z[1] - 1.5 * ca.sqrt(limit) * _root(e, 1 / 2)), z[1] - h * 1.1 * limit * ca.sign(e))
+    return ca.vertcat(
+        z[0] + h * (z[1] - 1.5 * ca.sqrt(limit) * _root(e, 1 / 2)),
+        z[1] - h * 1.1 * limit * ca.sign(e),
+    )
 
 
 def second_order(z: SX, f: SX, limit: SX, h: SX) -> SX:
-    """Advance the estimates z = (f, f', f'') over one sample, with the Taylor term of z2 in z0; |f'''| <= limit.
+    """Advance the estimates z = (f, f', f'') over one sample, with the Taylor term of z2 in z0;
+    |f'''| <= limit.
 
     z0' = v0 = -2 limit^(1/3) |z0 - f|^(2/3) sgn(z0 - f) + z1,
     z1' = v1 = -1.5 limit^(1/2) |z1 - v0|^(1/2) sgn(z1 - v0) + z2,   z2' = -1.1 limit sgn(z2 - v1).

@@ -15,11 +15,12 @@ CITATION = "luders1973"
 
 
 def adapt(p: Namespace, r: Row, period: SX) -> dict[str, SX]:
-    """Advance theta' = Gamma F (z - F' theta) over a sample by an implicit step, stable at any gain.
+    """Advance theta' = Gamma F (z - F' theta) over a sample by an implicit step, stable at any
+    gain.
 
-    As printed (a plant in the form of Bastin and Gevers, whose regressor is filtered by the other n - 1 states), the
-    observer is Bastin and Gevers' for n = 1, where nothing is left to filter; here the whole equation is filtered.
-    Source: luders1973.
+    As printed (a plant in the form of Bastin and Gevers, whose regressor is filtered by the other n
+    - 1 states), the observer is Bastin and Gevers' for n = 1, where nothing is left to filter; here
+    the whole equation is filtered. Source: luders1973.
     """
     theta = stack(p, "theta", 3)
     h = r.h[:3]
@@ -37,15 +38,23 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = filtered.observe(p, s, step1.kept(s))
     signals = {"v": filtered.velocity(p, stack(p, "theta", 3))}
-    return Update(shared | adapt(p, sample, s.period), **step1.published(p, filtered.estimates(p), s.period), signals=signals)
+    return Update(
+        shared | adapt(p, sample, s.period),
+        **step1.published(p, filtered.estimates(p), s.period),
+        signals=signals,
+    )
 
 
 METHOD = Method(
     "luders_narendra",
-    "Luders-Narendra observer of alpha2, b and Fc on filtered signals, normalised, gated to high speed",
+    "Luders-Narendra observer of alpha2, b and Fc on filtered signals, normalised, gated to high"
+    " speed",
     CITATION,
     "y_v",
-    (*filtered.parameters("luders_narendra", 50.0), *parameters("luders_narendra", (100.0, 100.0, 200.0))),
+    (
+        *filtered.parameters("luders_narendra", 50.0),
+        *parameters("luders_narendra", (100.0, 100.0, 200.0)),
+    ),
     (*filtered.STATES, *filtered.estimate_states()),
     _equations,
 )

@@ -10,7 +10,9 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = rls.observe(p, s, step1.kept(s))
     new = shared | luders_narendra.adapt(p, sample, s.period)
-    return Update(new, **step1.published(p, filtered.estimates(p), s.period), signals={"v": p.last_v})
+    return Update(
+        new, **step1.published(p, filtered.estimates(p), s.period), signals={"v": p.last_v}
+    )
 
 
 METHOD = Method(

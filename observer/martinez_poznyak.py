@@ -1,14 +1,17 @@
-"""Step 2 with a switching state observer and least squares, after Martinez and Poznyak; alpha2 and b known.
+"""Step 2 with a switching state observer and least squares, after Martinez and Poznyak; alpha2 and
+b known.
 
-The text of the source was not to be had; taken from it is what others say of it, a variable-structure estimator of states
-and parameters. Assumed is the usual form: a linear and a switching correction of the measured state, and least squares with
-forgetting for the parameters. For v' = x2 - alpha2 v + b u, x2' = psi theta, x2 = -w, with e = v - v^,
+The text of the source was not to be had; taken from it is what others say of it, a
+variable-structure estimator of states and parameters. Assumed is the usual form: a linear and a
+switching correction of the measured state, and least squares with forgetting for the parameters.
+For v' = x2 - alpha2 v + b u, x2' = psi theta, x2 = -w, with e = v - v^,
     v^' = x2^ - alpha2 v + b u + k e + rho sgn e.
-While it slides, e = 0 and the correction nu is the error of x2^ itself. There remains an observer of order one and, behind
-a low-pass filter, through which a switching term shows its equivalent value, the regression for theta:
+While it slides, e = 0 and the correction nu is the error of x2^ itself. There remains an observer
+of order one and, behind a low-pass filter, through which a switching term shows its equivalent
+value, the regression for theta:
     x2^' = psi theta^ + kappa nu + Ups theta^',   Ups' = -(kappa + c^ |v|) Ups + psi,   nu + Ups theta^ = Ups theta,
-where c^ |v| stands for what psi theta loses to the error of x2^ in psi. Until it has slid for a while the parameters wait.
-Source: martinez2001; utkin1992; dixit2008 eq. (15) to (17).
+where c^ |v| stands for what psi theta loses to the error of x2^ in psi. Until it has slid for a
+while the parameters wait. Source: martinez2001; utkin1992; dixit2008 eq. (15) to (17).
 """
 
 from __future__ import annotations
@@ -18,7 +21,15 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import step2, zhang
 from bristle.observer.besancon import START_VALUES
-from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
+from bristle.observer.method import (
+    EquationContext,
+    Method,
+    Sample,
+    Update,
+    stack,
+    unstack,
+    vector_states,
+)
 from bristle.observer.rls import least_squares
 
 SX = ca.SX
@@ -27,7 +38,8 @@ N = len(zhang.ENTRIES)
 
 
 def switching(e: SX, k: SX, rho: SX, period: SX) -> tuple[SX, SX]:
-    """Return (mean of nu over a sample, 1 if it slides) for e' = -nu, nu = k e + rho sgn e, the sign that of the end.
+    """Return (mean of nu over a sample, 1 if it slides) for e' = -nu, nu = k e + rho sgn e, the
+    sign that of the end.
 
     At e = 0 the sign is whatever keeps it there, so that there is no chatter to filter away.
     Source: acary2008.
@@ -38,7 +50,8 @@ def switching(e: SX, k: SX, rho: SX, period: SX) -> tuple[SX, SX]:
 
 
 def predict(x2: SX, ups: SX, theta: SX, s: Sample, phi: zhang.Basis) -> tuple[SX, SX]:
-    """Advance x2' = psi theta and Ups' = psi - c |v| Ups over a sample; what holds the value at its end is solved for.
+    """Advance x2' = psi theta and Ups' = psi - c |v| Ups over a sample; what holds the value at its
+    end is solved for.
 
     Source: dixit2008 section IV-E.
     """
@@ -50,12 +63,17 @@ def predict(x2: SX, ups: SX, theta: SX, s: Sample, phi: zhang.Basis) -> tuple[SX
 
 
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
-    """Return the next states of the observer with the given alpha2 and b; sigma0 and c stay positive by projection.
+    """Return the next states of the observer with the given alpha2 and b; sigma0 and c stay
+    positive by projection.
 
     Source: martinez2001.
     """
     theta = zhang.read_estimates(p, "step2")
-    ups, covariance, filtered = stack(p, "upsilon", N), stack(p, "step2_p", N, N), stack(p, "filtered", N + 1)
+    ups, covariance, filtered = (
+        stack(p, "upsilon", N),
+        stack(p, "step2_p", N, N),
+        stack(p, "filtered", N + 1),
+    )
     x2, ahead = predict(p.x1, ups, theta, s, zhang.basis(p))
     v = p.x0 + s.period * (b * s.u - alpha2 * (s.y0 + s.y1) / 2 + (p.x1 + x2) / 2)
     nu, slides = switching(s.y1 - v, p.k, p.rho, s.period)
@@ -63,11 +81,15 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     clear = ca.if_else(slides, p.step2_clear + s.period, 0)
     learns = clear > p.sliding_time
     low = 1 - ca.exp(-p.bandwidth * s.period)
-    filtered = ca.if_else(learns, filtered + low * (ca.vertcat(nu + ca.dot(mean, theta), mean) - filtered), 0)
+    filtered = ca.if_else(
+        learns, filtered + low * (ca.vertcat(nu + ca.dot(mean, theta), mean) - filtered), 0
+    )
     z, h = filtered[0], filtered[1:]
     scale = zhang.scales(p)
     kept = ca.exp(-p.fading * s.period)
-    change, spread = least_squares(covariance, scale * h, z - ca.dot(h, theta), p.noise**2, kept, N * p.uncertainty)
+    change, spread = least_squares(
+        covariance, scale * h, z - ca.dot(h, theta), p.noise**2, kept, N * p.uncertainty
+    )
     new = ca.if_else(learns, ca.fmax(theta + scale * change, ca.vertcat(*zhang.LOWEST)), theta)
     gain = 1 - ca.exp(-p.kappa * s.period)
     ups_new = ahead - gain * mean
@@ -99,14 +121,66 @@ def parameters(prefix: str, bandwidth: float, noise: float) -> tuple[Parameter, 
     spread = "standard deviation of nu that least squares expect"
     return (
         Parameter(f"{prefix}.k", "k", "1/s", 10.0, 0.0, 1e4, "linear correction of v^", CITATION),
-        Parameter(f"{prefix}.rho", "rho", "rad/s2", 100.0, 0.0, 1e6, "switching correction of v^", CITATION),
-        Parameter(f"{prefix}.kappa", "kappa", "1/s", 50.0, 1e-3, 1e4, "rate at which the error of x2^ decays", CITATION),
-        Parameter(f"{prefix}.sliding_time", "t_s", "s", 0.2, 0.0, 10.0, "time it must slide before the parameters move", CITATION),
-        Parameter(f"{prefix}.bandwidth", "a", "1/s", bandwidth, 1e-3, 1e5, "corner of the low-pass filter of nu", "utkin1992"),
-        Parameter(f"{prefix}.fading", "q", "1/s", 0.05, 0.0, 1e3, "rate at which least squares forget", CITATION),
+        Parameter(
+            f"{prefix}.rho",
+            "rho",
+            "rad/s2",
+            100.0,
+            0.0,
+            1e6,
+            "switching correction of v^",
+            CITATION,
+        ),
+        Parameter(
+            f"{prefix}.kappa",
+            "kappa",
+            "1/s",
+            50.0,
+            1e-3,
+            1e4,
+            "rate at which the error of x2^ decays",
+            CITATION,
+        ),
+        Parameter(
+            f"{prefix}.sliding_time",
+            "t_s",
+            "s",
+            0.2,
+            0.0,
+            10.0,
+            "time it must slide before the parameters move",
+            CITATION,
+        ),
+        Parameter(
+            f"{prefix}.bandwidth",
+            "a",
+            "1/s",
+            bandwidth,
+            1e-3,
+            1e5,
+            "corner of the low-pass filter of nu",
+            "utkin1992",
+        ),
+        Parameter(
+            f"{prefix}.fading",
+            "q",
+            "1/s",
+            0.05,
+            0.0,
+            1e3,
+            "rate at which least squares forget",
+            CITATION,
+        ),
         Parameter(f"{prefix}.noise", "r", "rad/s2", noise, 1e-6, 1e6, spread, CITATION),
         Parameter(
-            f"{prefix}.uncertainty", "P0", "1", 1.0, 1e-9, 1e9, "start of the covariance, in squares of the scales", CITATION
+            f"{prefix}.uncertainty",
+            "P0",
+            "1",
+            1.0,
+            1e-9,
+            1e9,
+            "start of the covariance, in squares of the scales",
+            CITATION,
         ),
         *zhang.scale_parameters(prefix, CITATION),
         *zhang.start_parameters(prefix, START_VALUES, CITATION),
@@ -118,7 +192,12 @@ STATES = (
     *vector_states("upsilon", "1", "filtered regressor", N),
     *vector_states("filtered", "1", "regression behind the low-pass filter", N + 1),
     *(
-        State(f"step2_p{N * i + j}", "1", "covariance of the estimates", initial=(lambda p: p.uncertainty) if i == j else 0.0)
+        State(
+            f"step2_p{N * i + j}",
+            "1",
+            "covariance of the estimates",
+            initial=(lambda p: p.uncertainty) if i == j else 0.0,
+        )
         for i in range(N)
         for j in range(N)
     ),
@@ -128,7 +207,8 @@ STATES = (
 
 METHOD = Method(
     "martinez_poznyak",
-    "switching observer with least squares for step 2, after Martinez and Poznyak; alpha2 and b known",
+    "switching observer with least squares for step 2, after Martinez and Poznyak; alpha2 and b"
+    " known",
     CITATION,
     "y_v",
     (*zhang.known_parameters("martinez_poznyak"), *parameters("martinez_poznyak", 1000.0, 0.1)),

@@ -20,14 +20,17 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "martinez_poznyak_position",
-    "switching observer with least squares for step 2 from position, after Martinez and Poznyak; alpha2 and b known",
+    "switching observer with least squares for step 2 from position, after Martinez and Poznyak;"
+    " alpha2 and b known",
     martinez_poznyak.CITATION,
     "y_theta",
     (
         *zhang.known_parameters("martinez_poznyak_position"),
         kalman.resolution_parameter("martinez_poznyak_position"),
         smoothing.parameter("martinez_poznyak_position"),
-        *martinez_poznyak.parameters("martinez_poznyak_position", MARTINEZ_BANDWIDTH, EQUIVALENT_NOISE),
+        *martinez_poznyak.parameters(
+            "martinez_poznyak_position", MARTINEZ_BANDWIDTH, EQUIVALENT_NOISE
+        ),
     ),
     (*smoothing.STATES, *martinez_poznyak.STATES, *step2.COMPANION_STATES),
     _equations,

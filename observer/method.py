@@ -1,4 +1,6 @@
-"""Definition of an observer method, and its composition into a sampled System with the inputs u and y only."""
+"""Definition of an observer method, and its composition into a sampled System with the inputs u and
+y only.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,22 @@ LONGEST_DELAY = 8  # samples
 LARGEST_SD = 1e9  # what is published of a standard deviation at most: nothing is known
 LARGEST_INPUT = 1e9  # V, rad or rad/s; what is larger counts as this, so that no square overflows
 DELAY = Parameter(
-    "delay", "d", "1", 0.0, 0.0, float(LONGEST_DELAY), "known delay of the measurement behind the input, in samples",
+    "delay",
+    "d",
+    "1",
+    0.0,
+    0.0,
+    float(LONGEST_DELAY),
+    "known delay of the measurement behind the input, in samples",
     "ljung1999 section 4.2",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Inputs of a method in a step from k-1 to k: u_(k-1) held between, the outputs y_(k-1) and y_k, the period."""
+    """Inputs of a method in a step from k-1 to k: u_(k-1) held between, the outputs y_(k-1) and
+    y_k, the period.
+    """
 
     u: SX
     y0: SX
@@ -58,12 +68,14 @@ class Sample:
 
 @dataclass
 class Update:
-    """The result of a step: next values of all states, and what to publish as expressions of the *next* states.
+    """The result of a step: next values of all states, and what to publish as expressions of the
+    *next* states.
 
-    `first` gives the values of states at the very first sample, where there is no step yet (others keep their start);
-    an estimate named in `valid` counts only where its expression is not zero. `sd`: standard deviations, of those estimates that
-    have one. `adapted`: whether the estimates have been adapted since the start. `innovation`: recent mean squared innovation
-    relative to the value that the method expects.
+    `first` gives the values of states at the very first sample, where there is no step yet (others
+    keep their start); an estimate named in `valid` counts only where its expression is not zero.
+    `sd`: standard deviations, of those estimates that have one. `adapted`: whether the estimates
+    have been adapted since the start. `innovation`: recent mean squared innovation relative to the
+    value that the method expects.
     """
 
     next: dict[str, SX]
@@ -77,12 +89,16 @@ class Update:
 
 
 def never_valid(names: Iterable[str]) -> dict[str, Any]:
-    """Return the fields of an `Update` that say that no estimate can be relied on, of a method that is kept to show it."""
+    """Return the fields of an `Update` that say that no estimate can be relied on, of a method that
+    is kept to show it.
+    """
     return {"valid": {name: SX(0) for name in names}, "adapted": SX(0)}
 
 
 class EquationContext:
-    """Symbols for the equations of a method: symbols of parameters and states, and constants made once."""
+    """Symbols for the equations of a method: symbols of parameters and states, and constants made
+    once.
+    """
 
     def __init__(self, system: System, p: Namespace) -> None:
         self._system, self.p = system, p
@@ -112,9 +128,13 @@ class Method:
     file: str = field(default="", compare=False)
 
 
-def vector_states(name: str, unit: str, description: str, count: int, initial: object = 0.0) -> tuple[State, ...]:
+def vector_states(
+    name: str, unit: str, description: str, count: int, initial: object = 0.0
+) -> tuple[State, ...]:
     """Return `count` states called name0, name1, ...; read them back with `stack`."""
-    return tuple(State(f"{name}{i}", unit, f"{description} ({i})", initial=initial) for i in range(count))
+    return tuple(
+        State(f"{name}{i}", unit, f"{description} ({i})", initial=initial) for i in range(count)
+    )
 
 
 def stack(p: Namespace, name: str, rows: int, columns: int = 1) -> SX:
@@ -133,13 +153,19 @@ def _triangle(order: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(order) for j in range(i + 1)]
 
 
-def symmetric_states(name: str, unit: str, description: str, order: int, diagonal: Sequence[float] = ()) -> tuple[State, ...]:
-    """Return the states of a symmetric matrix, its lower triangle row by row; read it back with `stack_symmetric`.
+def symmetric_states(
+    name: str, unit: str, description: str, order: int, diagonal: Sequence[float] = ()
+) -> tuple[State, ...]:
+    """Return the states of a symmetric matrix, its lower triangle row by row; read it back with
+    `stack_symmetric`.
 
     It starts as a diagonal matrix, from zero where no diagonal is given.
     """
     starts = [diagonal[i] if diagonal and i == j else 0.0 for i, j in _triangle(order)]
-    return tuple(State(f"{name}{n}", unit, f"{description} ({n})", initial=start) for n, start in enumerate(starts))
+    return tuple(
+        State(f"{name}{n}", unit, f"{description} ({n})", initial=start)
+        for n, start in enumerate(starts)
+    )
 
 
 def stack_symmetric(p: Namespace, name: str, order: int) -> SX:
@@ -158,7 +184,8 @@ def unstack_symmetric(name: str, matrix: SX) -> dict[str, SX]:
 def observer(method: Method) -> System:
     """Compose a method into a System that ticks once a period on the values its inputs then have.
 
-    Its outputs come from sampled states alone: what is published at t_(k+1) is the estimate for t_k.
+    Its outputs come from sampled states alone: what is published at t_(k+1) is the estimate for
+    t_k.
     """
     with naming_plugins([method]):
         return _observer(method)
@@ -174,18 +201,24 @@ def _observer(method: Method) -> System:
         "y_theta": system.input(Variable("y_theta", "rad", "measured position")),
         "y_v": system.input(Variable("y_v", "rad/s", "measured velocity")),
     }
-    inputs = {name: ca.fmax(ca.fmin(value, LARGEST_INPUT), -LARGEST_INPUT) for name, value in inputs.items()}
+    inputs = {
+        name: ca.fmax(ca.fmin(value, LARGEST_INPUT), -LARGEST_INPUT)
+        for name, value in inputs.items()
+    }
     p = system.namespace(f"{method.name}.")
     for state in method.states:
         system.sampled(_with_start(state, p))
     inputs_before = [system.sampled(State("last_u", "V", "input at the last sample"))]
     inputs_before += [
-        system.sampled(State(f"last_u{i}", "V", f"input {i} samples before that")) for i in range(1, LONGEST_DELAY + 1)
+        system.sampled(State(f"last_u{i}", "V", f"input {i} samples before that"))
+        for i in range(1, LONGEST_DELAY + 1)
     ]
     last_y = system.sampled(State("last_y", "1", "output at the last sample"))
     count = system.sampled(State("samples", "1", "samples seen so far"))
     y = inputs[method.reads]
-    update = method.equations(EquationContext(system, p), Sample(delayed(inputs_before, delay), last_y, y, period))
+    update = method.equations(
+        EquationContext(system, p), Sample(delayed(inputs_before, delay), last_y, y, period)
+    )
     started = count > 0
     for state in method.states:
         held = update.first.get(state.name, system.symbols[state.name])
@@ -200,10 +233,11 @@ def _observer(method: Method) -> System:
 
 
 def delayed(inputs: Sequence[SX], delay: SX) -> SX:
-    """Return the input that acts on a sample of a measurement that is late by `delay` samples; `inputs` have the latest first.
+    """Return the input that acts on a sample of a measurement that is late by `delay` samples;
+    `inputs` have the latest first.
 
-    Between whole samples an earlier and a later input act for a part of the time each; returned is the mean, which the servo
-    answers to up to terms of second order in the sampling period.
+    Between whole samples an earlier and a later input act for a part of the time each; returned is
+    the mean, which the servo answers to up to terms of second order in the sampling period.
     """
     u = inputs[0]
     for i in range(1, len(inputs)):
@@ -218,38 +252,64 @@ def _with_start(state: State, p: Namespace) -> State:
 
 
 def _publish(system: System, method: Method, update: Update, started: SX, period: SX) -> None:
-    """Declare the outputs: every signal and estimate; 0 and not valid where the method has none, so that no output is ever NaN."""
+    """Declare the outputs: every signal and estimate; 0 and not valid where the method has none, so
+    that no output is ever NaN.
+    """
 
     def flag(name: str, meaning: str, value: SX) -> None:
         system.output(Variable(name, "1", meaning, boolean=True), value)
 
     for name, (unit, description) in SIGNALS.items():
-        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.signals.get(name, SX(0)))
-        flag(f"{name}_hat_valid", f"the method estimates {name}; how well is not said", SX(float(name in update.signals)))
+        system.output(
+            Variable(f"{name}_hat", unit, f"estimate of {description}"),
+            update.signals.get(name, SX(0)),
+        )
+        flag(
+            f"{name}_hat_valid",
+            f"the method estimates {name}; how well is not said",
+            SX(float(name in update.signals)),
+        )
     for name, (unit, description) in OBSERVED.items():
         known = name in update.estimates
-        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.estimates.get(name, SX(0)))
+        system.output(
+            Variable(f"{name}_hat", unit, f"estimate of {description}"),
+            update.estimates.get(name, SX(0)),
+        )
         valid = update.valid.get(name, SX(float(known)))
         if name in update.sd:
             valid = ca.logic_and(valid, update.sd[name] > 0)  # nothing is known exactly
         flag(f"{name}_valid", f"{name}_hat is an estimate that counts", valid)
-        spread = Variable(f"{name}_sd", unit, f"standard deviation of {name}_hat; 0: the method gives none")
+        spread = Variable(
+            f"{name}_sd", unit, f"standard deviation of {name}_hat; 0: the method gives none"
+        )
         system.output(spread, ca.fmin(update.sd.get(name, SX(0)), LARGEST_SD))
     flag("adapted", "the estimates have been adapted since the start", update.adapted)
-    ratio = Variable("innovation", "1", "recent mean squared innovation relative to the value expected; 0: the method gives none")
+    ratio = Variable(
+        "innovation",
+        "1",
+        "recent mean squared innovation relative to the value expected; 0: the method gives none",
+    )
     system.output(ratio, update.innovation)
     system.output(
-        Variable("convergence", "1/s", "fastest relative change of an estimate, averaged over 1 s; small when settled"),
+        Variable(
+            "convergence",
+            "1/s",
+            "fastest relative change of an estimate, averaged over 1 s; small when settled",
+        ),
         _convergence(system, update, started, period),
     )
 
 
 def _convergence(system: System, update: Update, started: SX, period: SX) -> SX:
     """Average the largest |d theta_i/dt| / |theta_i| with a first-order filter."""
-    measure = system.sampled(State("convergence_state", "1/s", "average relative change of the estimates"))
+    measure = system.sampled(
+        State("convergence_state", "1/s", "average relative change of the estimates")
+    )
     names = [name for name in system.updates if name in system.before]
     before = ca.vertcat(*update.estimates.values())
-    [after] = ca.substitute([before], [system.vector(names)], [ca.vertcat(*(system.updates[n] for n in names))])
+    [after] = ca.substitute(
+        [before], [system.vector(names)], [ca.vertcat(*(system.updates[n] for n in names))]
+    )
     change = ca.fabs(after - before) / ca.fmax(ca.fabs(after), 1e-9)
     fastest = change[0]
     for i in range(1, change.numel()):

@@ -1,4 +1,6 @@
-"""Velocity and voltage from an encoder, both behind the same low-pass filter, for observers that read velocity."""
+"""Velocity and voltage from an encoder, both behind the same low-pass filter, for observers that
+read velocity.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,10 @@ def parameter(prefix: str) -> Parameter:
 def smooth(p: Namespace, s: Sample) -> tuple[Sample, dict[str, SX]]:
     """Return velocity and voltage in place of position, and the next states.
 
-    The difference of two positions is the velocity in the middle of a sample, so that the sample returned reaches from
-    one middle to the next, with the mean of the inputs before and after the instant between. The filters start from the
-    first values there are.
-    Source: dixit2008 section III, the remark on position measurement at its end.
+    The difference of two positions is the velocity in the middle of a sample, so that the sample
+    returned reaches from one middle to the next, with the mean of the inputs before and after the
+    instant between. The filters start from the first values there are. Source: dixit2008 section
+    III, the remark on position measurement at its end.
     """
     runs = p.smooth_runs > 0
     raw = ca.vertcat((s.y1 - s.y0) / s.period, (s.u + ca.if_else(runs, p.u_before, s.u)) / 2)
@@ -38,15 +40,21 @@ def smooth(p: Namespace, s: Sample) -> tuple[Sample, dict[str, SX]]:
     gain = 1 - ca.exp(-p.smoothing * s.period)
     once_new = once + gain * (raw - once)
     new = twice + gain * (once_new - twice)
-    states = {**unstack("smooth", once_new), **unstack("smoother", new), "u_before": s.u, "smooth_runs": SX(1)}
+    states = {
+        **unstack("smooth", once_new),
+        **unstack("smoother", new),
+        "u_before": s.u,
+        "smooth_runs": SX(1),
+    }
     return Sample(new[1], twice[0], new[0], s.period), states
 
 
 def rounding_noise(resolution: SX, corner: SX, period: SX) -> SX:
-    """Return the variance of the smoothed velocity by a position that is rounded, two sections of gain g = 1 - q on its difference.
+    """Return the variance of the smoothed velocity by a position that is rounded, two sections of
+    gain g = 1 - q on its difference.
 
-    The squares of the impulse response, g^2 (1, 2 q - 1, .., q^(k-1) (q - k g), ..) / Ts, add up to the sum below.
-    Source: widrow2008 chapter 1.
+    The squares of the impulse response, g^2 (1, 2 q - 1, .., q^(k-1) (q - k g), ..) / Ts, add up to
+    the sum below. Source: widrow2008 chapter 1.
     """
     q = ca.exp(-corner * period)
     gain, rest = 1 - q, 1 - q**2

@@ -1,4 +1,6 @@
-"""Approach I, filtered: recursive least squares of all parameters at once from the velocity, without a start."""
+"""Approach I, filtered: recursive least squares of all parameters at once from the velocity,
+without a start.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,19 @@ from bristle.observer import filtered, swapping
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
-def update(context: EquationContext, s: Sample, names: Iterable[str], prior: swapping.Prior | None = None) -> Update:
+def update(
+    context: EquationContext, s: Sample, names: Iterable[str], prior: swapping.Prior | None = None
+) -> Update:
     """Run the filters on the velocity, linear between samples, and on the held input.
 
     Source: dixit2008 eq. (20)-(22).
     """
     p = context.p
     change = s.u - p.u_before
-    ends = (swapping.signals(s.u, change, s.y0, p.width), swapping.signals(s.u, change, s.y1, p.width))
+    ends = (
+        swapping.signals(s.u, change, s.y0, p.width),
+        swapping.signals(s.u, change, s.y1, p.width),
+    )
     given = swapping.Settings(p.cutoff, p.memory, p.noise**2, s.period)
     fit = swapping.observe(context, s, ends, given, swapping.OWN, prior)
     return Update(next=fit | {"u_before": s.u}, **swapping.published(p, swapping.OWN, given, names))
@@ -31,11 +38,16 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     return (*swapping.parameters(prefix, 20.0), filtered.noise_parameter(prefix))
 
 
-STATES = (*swapping.FILTER_STATES, *swapping.OWN.states, State("u_before", "V", "input before the last one"))
+STATES = (
+    *swapping.FILTER_STATES,
+    *swapping.OWN.states,
+    State("u_before", "V", "input before the last one"),
+)
 
 METHOD = Method(
     "swapped",
-    "filtered Approach I: least squares of eleven entries, eight of them free, without differentiation",
+    "filtered Approach I: least squares of eleven entries, eight of them free, without"
+    " differentiation",
     "dixit2008 eq. (20)-(22)",
     "y_v",
     parameters("swapped"),

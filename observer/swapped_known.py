@@ -1,4 +1,6 @@
-"""Approach I, filtered, with alpha2 and b known: recursive least squares of what is left, from velocity."""
+"""Approach I, filtered, with alpha2 and b known: recursive least squares of what is left, from
+velocity.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from bristle.observer.swapping import Prior
 def _equations(context: EquationContext, s: Sample) -> Update:
     """Fit as `swapped` does, with alpha2 and b held.
 
-    Source: dixit2008 eq. (20)-(22) with the parameters of step 1 known, as section III, Approach II allows.
+    Source: dixit2008 eq. (20)-(22) with the parameters of step 1 known, as section III, Approach II
+    allows.
     """
     return swapped.update(context, s, zhang.ESTIMATES, Prior(context.p.alpha2, context.p.b))
 

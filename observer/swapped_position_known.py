@@ -10,17 +10,24 @@ from bristle.observer.swapping import Prior
 def _equations(context: EquationContext, s: Sample) -> Update:
     """Fit as `swapped_position` does, with alpha2 and b held.
 
-    Source: dixit2008 eq. (20)-(22) with the parameters of step 1 known, and the remark on position measurement.
+    Source: dixit2008 eq. (20)-(22) with the parameters of step 1 known, and the remark on position
+    measurement.
     """
-    return swapped_position.update(context, s, zhang.ESTIMATES, Prior(context.p.alpha2, context.p.b))
+    return swapped_position.update(
+        context, s, zhang.ESTIMATES, Prior(context.p.alpha2, context.p.b)
+    )
 
 
 METHOD = Method(
     "swapped_position_known",
-    "filtered Approach I from position with alpha2 and b known: least squares on smoothed differences",
+    "filtered Approach I from position with alpha2 and b known: least squares on smoothed"
+    " differences",
     "dixit2008 eq. (20)-(22)",
     "y_theta",
-    (*zhang.known_parameters("swapped_position_known"), *swapped_position.parameters("swapped_position_known")),
+    (
+        *zhang.known_parameters("swapped_position_known"),
+        *swapped_position.parameters("swapped_position_known"),
+    ),
     swapped_position.STATES,
     _equations,
 )

@@ -15,7 +15,9 @@ SX = ca.SX
 
 
 def equations(
-    context: EquationContext, s: Sample, step: Callable[[Namespace, Sample, SX, SX], dict[str, SX]] = drem.step
+    context: EquationContext,
+    s: Sample,
+    step: Callable[[Namespace, Sample, SX, SX], dict[str, SX]] = drem.step,
 ) -> Update:
     """Run both steps, the second by this law; it begins with empty filters.
 
@@ -25,14 +27,17 @@ def equations(
 
     def law(velocity: Sample, alpha2: SX, b: SX) -> step2.Law:
         own = step(p, velocity, alpha2, b)
-        return step2.Law(own, {name: p[name] for name in own}, *drem.published(p, p.smoother0, alpha2))
+        return step2.Law(
+            own, {name: p[name] for name in own}, *drem.published(p, p.smoother0, alpha2)
+        )
 
     return step2.from_encoder(context, s, law)
 
 
 METHOD = Method(
     "two_step_drem",
-    "Approach II from position: least squares, then dynamic regressor extension and mixing on its alpha2 and b",
+    "Approach II from position: least squares, then dynamic regressor extension and mixing on its"
+    " alpha2 and b",
     "dixit2008 section III, Approach II; aranovskiy2017",
     "y_theta",
     (*step2.encoder_parameters("two_step_drem"), *drem.parameters("two_step_drem", DREM_BANDWIDTH)),

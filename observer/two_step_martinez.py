@@ -1,4 +1,6 @@
-"""Approach II from an encoder alone: least squares for step 1, the switching observer for step 2."""
+"""Approach II from an encoder alone: least squares for step 1, the switching observer for step
+2.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "two_step_martinez",
-    "Approach II from position: least squares, then the switching observer with least squares on its alpha2 and b",
+    "Approach II from position: least squares, then the switching observer with least squares on"
+    " its alpha2 and b",
     "dixit2008 section III, Approach II; martinez2001",
     "y_theta",
     (

@@ -1,4 +1,6 @@
-"""Approach II from an encoder alone: least squares for step 1, the third-order observer for step 2."""
+"""Approach II from an encoder alone: least squares for step 1, the third-order observer for step
+2.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,14 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 METHOD = Method(
     "two_step_position",
-    "Approach II from position: least squares, then Besancon-Zhang-Hammouri with n = 3 on its alpha2 and b",
+    "Approach II from position: least squares, then Besancon-Zhang-Hammouri with n = 3 on its"
+    " alpha2 and b",
     "dixit2008 section III, Approach II",
     "y_theta",
-    (*step2.encoder_parameters("two_step_position"), *besancon_position.parameters("two_step_position")),
+    (
+        *step2.encoder_parameters("two_step_position"),
+        *besancon_position.parameters("two_step_position"),
+    ),
     (*step2.ENCODER_STATES, *zhang.states(3)),
     _equations,
 )

@@ -1,7 +1,7 @@
 """Approach II with gains, gate and zero starts as printed; kept to show that it does not converge.
 
-Three details are repaired, and can be chosen as printed: what x^ of step 1 is set to at gate entry, |v| in the basis functions, and
-the implicit step of the gradient.
+Three details are repaired, and can be chosen as printed: what x^ of step 1 is set to at gate entry,
+|v| in the basis functions, and the implicit step of the gradient.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, nev
 from bristle.observer.two_step import waiting
 
 SX = ca.SX
-UNIT = besancon_scalar.UNIT  # v in deg/s, and u is scaled alike, so that both entries of the regressor have the same weight
+# v in deg/s, and u is scaled alike, so that both entries of the regressor have the same weight
+UNIT = besancon_scalar.UNIT
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -46,9 +47,20 @@ METHOD = Method(
     "dixit2008 section IV-E",
     "y_v",
     (
-        Parameter("two_step_printed.step2_start", "T2", "s", 100.0, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E"),
+        Parameter(
+            "two_step_printed.step2_start",
+            "T2",
+            "s",
+            100.0,
+            0.0,
+            1e6,
+            "when step 2 begins",
+            "dixit2008 section IV-E",
+        ),
         *bastin_gevers.parameters("two_step_printed", bastin_gevers.PRINTED),
-        *zhang.gain_parameters("two_step_printed", besancon_scalar.K0, besancon_scalar.LAM, (0.0, 0.0, 0.0, 0.0)),
+        *zhang.gain_parameters(
+            "two_step_printed", besancon_scalar.K0, besancon_scalar.LAM, (0.0, 0.0, 0.0, 0.0)
+        ),
         Parameter(
             "two_step_printed.measured_entry",
             "e",

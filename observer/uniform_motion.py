@@ -1,4 +1,5 @@
-"""The paper's heuristic for the gate of step 1: the lowest speed at which steps of the input end in uniform motion.
+"""The paper's heuristic for the gate of step 1: the lowest speed at which steps of the input end in
+uniform motion.
 
 It proposes vc, and estimates nothing else.
 """
@@ -15,11 +16,12 @@ CITATION = "dixit2008 section IV-B"
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Evaluate a step of the input when it ends: it counts if it is long enough, moving, and of nearly constant velocity.
+    """Evaluate a step of the input when it ends: it counts if it is long enough, moving, and of
+    nearly constant velocity.
 
-    Mean and mean square of the velocity are first-order averages, so that they belong to the end of the step; they end with the
-    velocity at which the input was left.
-    Source: dixit2008 section IV-B.
+    Mean and mean square of the velocity are first-order averages, so that they belong to the end of
+    the step; they end with the velocity at which the input was left. Source: dixit2008 section
+    IV-B.
     """
     p = context.p
     weight = 1 - ca.exp(-s.period / p.window)
@@ -50,10 +52,46 @@ METHOD = Method(
     CITATION,
     "y_v",
     (
-        Parameter("uniform_motion.window", "T_w", "s", 0.3, 1e-3, 1e3, "over which the velocity is averaged", CITATION),
-        Parameter("uniform_motion.patience", "T_s", "s", 3.0, 0.0, 1e6, "shortest step of the input that counts", CITATION),
-        Parameter("uniform_motion.tolerance", "epsilon", "1", 0.05, 0.0, 1.0, "spread over mean of uniform motion", CITATION),
-        Parameter("uniform_motion.least_speed", "v_0", "rad/s", 0.05, 0.0, 1e3, "speed below which it rests", CITATION),
+        Parameter(
+            "uniform_motion.window",
+            "T_w",
+            "s",
+            0.3,
+            1e-3,
+            1e3,
+            "over which the velocity is averaged",
+            CITATION,
+        ),
+        Parameter(
+            "uniform_motion.patience",
+            "T_s",
+            "s",
+            3.0,
+            0.0,
+            1e6,
+            "shortest step of the input that counts",
+            CITATION,
+        ),
+        Parameter(
+            "uniform_motion.tolerance",
+            "epsilon",
+            "1",
+            0.05,
+            0.0,
+            1.0,
+            "spread over mean of uniform motion",
+            CITATION,
+        ),
+        Parameter(
+            "uniform_motion.least_speed",
+            "v_0",
+            "rad/s",
+            0.05,
+            0.0,
+            1e3,
+            "speed below which it rests",
+            CITATION,
+        ),
     ),
     (
         State("held_input", "V", "input of the step"),

@@ -1,6 +1,8 @@
-"""The filter shared by Besancon's observer and its matrix-gain form, computed exactly over a sample.
+"""The filter shared by Besancon's observer and its matrix-gain form, computed exactly over a
+sample.
 
-Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam Lam^-1 K0,
+Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam
+Lam^-1 K0,
     Ups' = (A0 - K C0) Ups + psi,   x^' = (A0 - K C0) x^ + phi + psi theta^ + K y + Ups theta^',
     theta^' = S Ups' C0' (y - C0 x^),
 with S = lam^(2n) I as printed, or a matrix S.
@@ -29,7 +31,9 @@ ENTRY_SCALES = (1000.0, 1000.0, 1000.0, 100.0, 100.0)  # round numbers, not take
 
 @dataclass(frozen=True)
 class Filter:
-    """x_k = phi x_(k-1) + m0 f_(k-1) + m1 f_k for x' = (A0 - K C0) x + f with f linear over the sample; K itself."""
+    """x_k = phi x_(k-1) + m0 f_(k-1) + m1 f_k for x' = (A0 - K C0) x + f with f linear over the
+    sample; K itself.
+    """
 
     phi: SX
     m0: SX
@@ -38,11 +42,11 @@ class Filter:
 
 
 def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX, name: str = "") -> Filter:
-    """Compute the exact filter once, at initialisation, from K0 and lam; its constants begin with `name`.
+    """Compute the exact filter once, at initialisation, from K0 and lam; its constants begin with
+    `name`.
 
-    The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a first-order hold:
-    exp of [[A, I, 0], [0, 0, I/Ts], [0, 0, 0]] Ts.
-    Source: vanloan1978.
+    The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a
+    first-order hold: exp of [[A, I, 0], [0, 0, I/Ts], [0, 0, 0]] Ts. Source: vanloan1978.
     """
     n = k0.shape[0]
     shift = SX(n, n)
@@ -69,7 +73,9 @@ def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX, name: str
 
 
 def ahead(f: Filter, x: SX, f0: SX, f1: SX, rate: SX) -> SX:
-    """Advance two states driven from f0 to f1 - [0, rate x2], whose x2 at the end is linear in itself and solved for."""
+    """Advance two states driven from f0 to f1 - [0, rate x2], whose x2 at the end is linear in
+    itself and solved for.
+    """
     free = f.phi @ x + f.m0 @ f0 + f.m1 @ f1
     x2 = free[1] / (1 + f.m1[1, 1] * rate)
     return ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
@@ -86,8 +92,8 @@ def basis(p: Namespace) -> Basis:
 def regressor(v: SX, x2: SX, phi: Basis) -> SX:
     """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2, -|v|].
 
-    A constant load torque d over the inertia makes x2 = d - w, which obeys x2' = -K(v) v + c |v| (d - x2).
-    Source: dixit2008 section IV-E, with the sign of x2 = -w kept in psi.
+    A constant load torque d over the inertia makes x2 = d - w, which obeys x2' = -K(v) v + c |v| (d
+    - x2). Source: dixit2008 section IV-E, with the sign of x2 = -w kept in psi.
     """
     speed = ca.fabs(v)
     return -ca.horzcat(v, *(each * v for each in phi(v)), speed * x2, -speed)
@@ -97,10 +103,12 @@ LOWEST = (1.0, -1e9, -1e9, 1.0, -1e9)  # projection: sigma0 [1/s2] and c [1/rad]
 
 
 def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) -> SX:
-    """Return theta^ after the gradient step on the output error, normalised implicitly, projected where `low` is set.
+    """Return theta^ after the gradient step on the output error, normalised implicitly, projected
+    where `low` is set.
 
-    d theta = Ts S h e / (1 + Ts h' S h) with h the first row of Ups is the step that an implicit Euler of
-    theta^' = S h (e - h' d theta) takes, so that no gain is too large. x^ has to follow by Ups d theta.
+    d theta = Ts S h e / (1 + Ts h' S h) with h the first row of Ups is the step that an implicit
+    Euler of theta^' = S h (e - h' d theta) takes, so that no gain is too large. x^ has to follow by
+    Ups d theta.
     """
     h = ups[0, :].T
     step = period * gain * h
@@ -111,7 +119,12 @@ def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) 
 def estimate_states(prefix: str, entries: Mapping[str, str] = ENTRIES) -> tuple[State, ...]:
     """Declare the estimates with their starts; that of the load is 0."""
     return tuple(
-        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=(lambda p, n=n: p[f"{n}_start"]) if n in ESTIMATES else 0.0)
+        State(
+            f"{prefix}_{n}",
+            unit,
+            f"estimate of {n}",
+            initial=(lambda p, n=n: p[f"{n}_start"]) if n in ESTIMATES else 0.0,
+        )
         for n, unit in entries.items()
     )
 
@@ -139,7 +152,9 @@ def read_estimates(p: Namespace, prefix: str, entries: Mapping[str, str] = ENTRI
 
 def write_estimates(prefix: str, theta: SX) -> dict[str, SX]:
     """Return a vector of estimates as states."""
-    return {f"{prefix}_{name}": value for name, value in zip(ENTRIES, ca.vertsplit(theta), strict=False)}
+    return {
+        f"{prefix}_{name}": value for name, value in zip(ENTRIES, ca.vertsplit(theta), strict=False)
+    }
 
 
 def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
@@ -154,19 +169,43 @@ def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
 
 
 def estimates(p: Namespace, prefix: str) -> dict[str, SX]:
-    """Return what is published of the estimates: the parameters and the load torque over the inertia."""
-    return {name: p[f"{prefix}_{name}"] for name in ESTIMATES} | {"load": p[f"{prefix}_c_load"] / ca.fmax(p[f"{prefix}_c"], 1)}
+    """Return what is published of the estimates: the parameters and the load torque over the
+    inertia.
+    """
+    return {name: p[f"{prefix}_{name}"] for name in ESTIMATES} | {
+        "load": p[f"{prefix}_c_load"] / ca.fmax(p[f"{prefix}_c"], 1)
+    }
 
 
 def known_parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare alpha2 and b, which a step-2 method takes as known."""
     return (
-        Parameter(f"{prefix}.alpha2", "alpha2", "1/s", 1.0, 0.0, 1e6, "viscous friction over inertia, known", "dixit2008 eq. (15)"),
-        Parameter(f"{prefix}.b", "b", "rad/(s2.V)", 3.0, -1e6, 1e6, "drive gain over inertia, known", "dixit2008 eq. (15)"),
+        Parameter(
+            f"{prefix}.alpha2",
+            "alpha2",
+            "1/s",
+            1.0,
+            0.0,
+            1e6,
+            "viscous friction over inertia, known",
+            "dixit2008 eq. (15)",
+        ),
+        Parameter(
+            f"{prefix}.b",
+            "b",
+            "rad/(s2.V)",
+            3.0,
+            -1e6,
+            1e6,
+            "drive gain over inertia, known",
+            "dixit2008 eq. (15)",
+        ),
     )
 
 
-def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tuple[float, ...]) -> tuple[Parameter, ...]:
+def gain_parameters(
+    prefix: str, k0: tuple[float, ...], lam: float, starts: tuple[float, ...]
+) -> tuple[Parameter, ...]:
     """Declare K0, lam, the starts and the width of the basis functions."""
     return (
         *(
@@ -178,11 +217,24 @@ def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tupl
     )
 
 
-def start_parameters(prefix: str, starts: tuple[float, ...], source: str = CITATION) -> tuple[Parameter, ...]:
-    """Declare the starts of the estimates, and the width of the basis functions that they are the weights of."""
+def start_parameters(
+    prefix: str, starts: tuple[float, ...], source: str = CITATION
+) -> tuple[Parameter, ...]:
+    """Declare the starts of the estimates, and the width of the basis functions that they are the
+    weights of.
+    """
     return (
         *(
-            Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", source)
+            Parameter(
+                f"{prefix}.{name}_start",
+                name,
+                unit,
+                start,
+                -1e9,
+                1e9,
+                f"start of the estimate of {name}",
+                source,
+            )
             for (name, unit), start in zip(ESTIMATES.items(), starts, strict=True)
         ),
         width_parameter(prefix),
@@ -202,11 +254,15 @@ def scales(p: Namespace) -> SX:
     return SX(ca.vertcat(*(p[f"{name}_scale"] for name in ENTRIES)))
 
 
-def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:
+def matrix_parameters(
+    prefix: str, gain: float = 1e6, averaging: float = 10.0
+) -> tuple[Parameter, ...]:
     """Declare the matrix gain, S = gain diag(scale)^2, and the averaging."""
     average = "time constant of the published average"
     return (
-        Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002"),
+        Parameter(
+            f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002"
+        ),
         *scale_parameters(prefix),
         Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992"),
     )
@@ -218,5 +274,7 @@ def matrix_gain(p: Namespace) -> SX:
 
 
 def averaging_weight(p: Namespace, period: SX) -> SX:
-    """Return the weight of a new value in the published average; no averaging if the time constant is 0."""
+    """Return the weight of a new value in the published average; no averaging if the time constant
+    is 0.
+    """
     return period / ca.fmax(p.averaging, period)

@@ -1,4 +1,5 @@
-"""Servo friction models and the adaptive observers that identify them, as FMUs; and the diagnosis of measured servos.
+"""Servo friction models and the adaptive observers that identify them, as FMUs; and the diagnosis
+of measured servos.
 
     import bristle
 
@@ -12,7 +13,8 @@
 
     result.to_pandas("estimates"), result.to_xarray()             # with pip install 'bristle[frames]'
 
-The functions do what the commands of the same names do. The rest of the library is imported when a function first needs it.
+The functions do what the commands of the same names do. The rest of the library is imported when a
+function first needs it.
 """
 
 from __future__ import annotations
@@ -34,10 +36,26 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "SweepResult", "Validation", "__version__",
-    "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep",
+    "BristleError",
+    "Diagnosis",
+    "Model",
+    "Record",
+    "Reproduction",
+    "Result",
+    "SweepResult",
+    "Validation",
+    "__version__",
+    "build",
+    "diagnose",
+    "load_model",
+    "load_record",
+    "load_records",
+    "records_from_arrays",
+    "reproduce",
+    "run",
+    "sweep",
     "validate",
-]  # fmt: skip
+]
 
 PathLike = str | os.PathLike[str]
 PARTS = ("plant", "observer", "controller")  # FMUs that can be built
@@ -45,10 +63,14 @@ KINDS: tuple[Literal["native", "python"], ...] = ("native", "python")  # of FMUs
 FMI_VERSIONS = (2, 3)
 
 _LATER = {  # class: where it is when it is asked for
-    "Diagnosis": "bristle.diagnosis", "Model": "bristle.diagnosis", "Record": "bristle.diagnosis",
-    "Validation": "bristle.diagnosis", "Reproduction": "bristle.result", "Result": "bristle.result",
+    "Diagnosis": "bristle.diagnosis",
+    "Model": "bristle.diagnosis",
+    "Record": "bristle.diagnosis",
+    "Validation": "bristle.diagnosis",
+    "Reproduction": "bristle.result",
+    "Result": "bristle.result",
     "SweepResult": "bristle.result",
-}  # fmt: skip
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -81,12 +103,13 @@ def run(
     Parameters
     ----------
     scenario : path
-        Scenario file (TOML), or the name of a scenario that comes with the library, such as ``"quick"``.
+        Scenario file (TOML), or the name of a scenario that comes with the library, such as
+        ``"quick"``.
     out : path, optional
         Folder for the result folders; created if it is missing.
     overrides : mapping of str to object, optional
-        Values that replace those of the file, by their path in it, such as ``{"plant.parameters.J": "0.002 kg.m2"}``;
-        what has a unit is text with the unit.
+        Values that replace those of the file, by their path in it, such as ``{"plant.parameters.J":
+        "0.002 kg.m2"}``; what has a unit is text with the unit.
     seed : int, optional
         Seed of the controller's reference signal.
     kind : {"native", "python"}, optional
@@ -102,8 +125,8 @@ def run(
     Raises
     ------
     BristleError
-        If the scenario cannot be read, or an FMU cannot be built or refuses to start. Nothing is written then. A simulation that
-        diverges is no error: its verdict is ``"fail"``.
+        If the scenario cannot be read, or an FMU cannot be built or refuses to start. Nothing is
+        written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
     from bristle.harness.catalogue import find_scenario
@@ -113,7 +136,12 @@ def run(
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
     chosen = seed if seed is None else as_whole_number("seed", seed)
-    options = Options(as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS), _overrides(overrides), chosen)
+    options = Options(
+        as_choice("fmi", fmi, FMI_VERSIONS),
+        as_choice("kind", kind, KINDS),
+        _overrides(overrides),
+        chosen,
+    )
     done = run_scenario(path, folder, options)
     return Result(plain(done.result), done.folder)
 
@@ -132,19 +160,21 @@ def sweep(
     cluster: str | None = None,
     resume: bool = False,
 ) -> SweepResult:
-    """Run a scenario with many values and seeds; what comes of each run is a row of the store `out`.
+    """Run a scenario with many values and seeds; what comes of each run is a row of the store
+    `out`.
 
     Parameters
     ----------
     scenario : path
         As of `run`.
     vary : mapping of str to object, optional
-        By the path of a key: a list of values, or text: ``"0.001:0.002:5 kg.m2"``, or a distribution by its name in scipy.stats,
-        such as ``"uniform(0.001, 0.002) kg.m2"``.
+        By the path of a key: a list of values, or text: ``"0.001:0.002:5 kg.m2"``, or a
+        distribution by its name in scipy.stats, such as ``"uniform(0.001, 0.002) kg.m2"``.
     out : path, optional
         Folder of the store; created if it is missing.
     seeds : iterable of int, or text, optional
-        Seeds of the controller's reference signal, each with all values; as text such as ``"1-12"``.
+        Seeds of the controller's reference signal, each with all values; as text such as
+        ``"1-12"``.
     samples : int, optional
         How many values are drawn from the distributions; required with them.
     sampling : {"lhs", "sobol", "random"}, optional
@@ -168,8 +198,9 @@ def sweep(
     Raises
     ------
     BristleError
-        If the scenario cannot be run with one of the values, the store has runs and `resume` is not given, or pyarrow is not
-        installed (``pip install 'bristle[parquet]'``). A run that fails is no error.
+        If the scenario cannot be run with one of the values, the store has runs and `resume` is not
+        given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
+        no error.
     """
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.design import SAMPLINGS, design
@@ -180,27 +211,56 @@ def sweep(
     from bristle.result import SweepResult
 
     if not isinstance(vary or {}, Mapping):
-        raise BristleError(f'vary is a {type(vary).__name__}; give a dict such as {{"sensor": ["clean", "encoder"]}}')
+        raise BristleError(
+            f'vary is a {type(vary).__name__}; give a dict such as {{"sensor": ["clean",'
+            ' "encoder"]}'
+        )
     for path, spec in (vary or {}).items():
         if not isinstance(spec, str | Sequence):
-            raise BristleError(f"vary[{path!r}] is {spec!r}; give a list of values, or text such as 'uniform(1, 2)'")
+            raise BristleError(
+                f"vary[{path!r}] is {spec!r}; give a list of values, or text such as"
+                " 'uniform(1, 2)'"
+            )
     if not isinstance(seeds, Iterable):
-        raise BristleError(f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'")
-    specs = _overrides({path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()})
-    wanted = seeds_of(seeds) if isinstance(seeds, str) else [as_whole_number("seeds", seed) for seed in seeds]
+        raise BristleError(
+            f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'"
+        )
+    specs = _overrides(
+        {path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()}
+    )
+    wanted = (
+        seeds_of(seeds)
+        if isinstance(seeds, str)
+        else [as_whole_number("seeds", seed) for seed in seeds]
+    )
     asked = design(
-        specs, wanted, None if samples is None else as_whole_number("samples", samples),
-        as_choice("sampling", sampling, SAMPLINGS), as_whole_number("sampling_seed", sampling_seed),
-    )  # fmt: skip
+        specs,
+        wanted,
+        None if samples is None else as_whole_number("samples", samples),
+        as_choice("sampling", sampling, SAMPLINGS),
+        as_whole_number("sampling_seed", sampling_seed),
+    )
     store = Store(as_path("out", out))
-    prepared = prepare_sweep(find_scenario(as_path("scenario", scenario)), asked, Options(overrides=_overrides(overrides)))
-    means = Means(os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs), cluster, bool(resume), "bristle.sweep")
+    prepared = prepare_sweep(
+        find_scenario(as_path("scenario", scenario)),
+        asked,
+        Options(overrides=_overrides(overrides)),
+    )
+    means = Means(
+        os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs),
+        cluster,
+        bool(resume),
+        "bristle.sweep",
+    )
     found = run_sweep(prepared, asked, store, means)
     return SweepResult(store.path, found.verdicts, found.kept)
 
 
-def reproduce(out: PathLike = "out", *, progress: Callable[[str, float], None] | None = None) -> Reproduction:
-    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page.
+def reproduce(
+    out: PathLike = "out", *, progress: Callable[[str, float], None] | None = None
+) -> Reproduction:
+    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer,
+    on one page.
 
     Parameters
     ----------
@@ -233,13 +293,18 @@ def _overrides(given: object) -> tuple[str, ...]:
     if given is None:
         return ()
     if not isinstance(given, Mapping):
-        raise BristleError(f'overrides is a {type(given).__name__}; give a dict such as {{"plant.parameters.J": "0.002 kg.m2"}}')
+        raise BristleError(
+            f'overrides is a {type(given).__name__}; give a dict such as {{"plant.parameters.J":'
+            ' "0.002 kg.m2"}'
+        )
     texts = []
     for path, value in given.items():
         try:
             texts.append(f"{path}={value if isinstance(value, str) else json.dumps(value)}")
         except TypeError:
-            raise BristleError(f"overrides[{path!r}] is a {type(value).__name__}; give text, a number or a list") from None
+            raise BristleError(
+                f"overrides[{path!r}] is a {type(value).__name__}; give text, a number or a list"
+            ) from None
     return tuple(texts)
 
 
@@ -272,13 +337,14 @@ def build(
     method : str, optional
         An observer with this method only, instead of all methods behind a parameter.
     effects : sequence of str, optional
-        Effects of the plant, such as ``["cogging", "bias"]``; their parameters are called ``cogging.amplitude``. Without a law, the
-        plant has all laws that the effects can join.
+        Effects of the plant, such as ``["cogging", "bias"]``; their parameters are called
+        ``cogging.amplitude``. Without a law, the plant has all laws that the effects can join.
     encoder : bool, optional
-        False leaves the encoder outputs of the plant out; that of one smooth law then also offers Model Exchange.
+        False leaves the encoder outputs of the plant out; that of one smooth law then also offers
+        Model Exchange.
     platforms : str, optional
-        What a native FMU runs on: ``"host"``, ``"all"``, or names such as ``"win64,linux64"``; others than this machine need the
-        extra ``cross``.
+        What a native FMU runs on: ``"host"``, ``"all"``, or names such as ``"win64,linux64"``;
+        others than this machine need the extra ``cross``.
 
     Returns
     -------
@@ -288,16 +354,18 @@ def build(
     Raises
     ------
     BristleError
-        If there is no such part, law, method, effect or platform, an effect cannot join the law, there is no compiler, or the
-        folder cannot be written.
+        If there is no such part, law, method, effect or platform, an effect cannot join the law,
+        there is no compiler, or the folder cannot be written.
     """
     from bristle.harness.catalogue import Choice, build_files
 
     choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
     made = build_files(
-        {as_choice("part", part, PARTS): choice}, as_path("out", out),
-        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
-    )  # fmt: skip
+        {as_choice("part", part, PARTS): choice},
+        as_path("out", out),
+        fmi=as_choice("fmi", fmi, FMI_VERSIONS),
+        kind=as_choice("kind", kind, KINDS),
+    )
     return made[0]
 
 
@@ -315,12 +383,15 @@ def diagnose(
     Parameters
     ----------
     model : path or Model or None
-        Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo: the FMU must then have the
-        parameters J, a2 and b, and the columns of the records are t [s], u and theta or v, in the units of the FMU.
+        Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo:
+        the FMU must then have the parameters J, a2 and b, and the columns of the records are t [s],
+        u and theta or v, in the units of the FMU.
     data : path or Record, or sequence of either
-        Measured files (CSV, XLSX, MAT and others) or records that are loaded already; two or more records are better than one.
+        Measured files (CSV, XLSX, MAT and others) or records that are loaded already; two or more
+        records are better than one.
     out : path, optional
-        Folder for diagnosis.json, report.html and the augmented model; without it nothing is written.
+        Folder for diagnosis.json, report.html and the augmented model; without it nothing is
+        written.
     fmu : path, optional
         Plant FMU (Co-Simulation) to diagnose instead of the equations of the model file.
     choose : str, optional
@@ -331,13 +402,14 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        Verdict, effects with their parameters (SI units) and 95 % intervals, ties, localisation of the residual, gap.
+        Verdict, effects with their parameters (SI units) and 95 % intervals, ties, localisation of
+        the residual, gap.
 
     Raises
     ------
     BristleError
-        If model or data cannot be read or do not fit together, nothing moves in the records, the model cannot be simulated, or
-        the folder cannot be written.
+        If model or data cannot be read or do not fit together, nothing moves in the records, the
+        model cannot be simulated, or the folder cannot be written.
     """
     from bristle import diagnosis
     from bristle.diagnosis.report.export import check_places
@@ -347,7 +419,10 @@ def diagnose(
     if choose is not None:
         effect(choose)
     if out is not None:
-        check_places(as_path("out", out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files)
+        check_places(
+            as_path("out", out),
+            [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files,
+        )
     known = _model(model, fmu)
     if files:
         records = diagnosis.load_records(known, files)
@@ -368,19 +443,21 @@ def validate(
     fmu: PathLike | None = None,
     timeout: float | None = None,
 ) -> Validation:
-    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured.
+    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from
+    what was measured.
 
     Parameters
     ----------
     model : path or Model or None
-        Model file (TOML), such as the augmented.toml of a diagnosis, or what `load_model` returns. None if `fmu` alone describes
-        the servo, as of `diagnose`.
+        Model file (TOML), such as the augmented.toml of a diagnosis, or what `load_model` returns.
+        None if `fmu` alone describes the servo, as of `diagnose`.
     data : path or Record, or sequence of either
         Measured files, or records that are loaded already.
     out : path, optional
         Folder for validation.json and report.html; without it nothing is written.
     fmu : path, optional
-        Plant FMU (Co-Simulation) to validate instead of the equations of the model file, which then gives the columns.
+        Plant FMU (Co-Simulation) to validate instead of the equations of the model file, which then
+        gives the columns.
     timeout : float, optional
         Seconds that a simulation of an FMU may take.
 
@@ -392,7 +469,8 @@ def validate(
     Raises
     ------
     BristleError
-        If model or data cannot be read or do not fit together, the FMU crashes or takes too long, or the folder cannot be written.
+        If model or data cannot be read or do not fit together, the FMU crashes or takes too long,
+        or the folder cannot be written.
     """
     from bristle import diagnosis
     from bristle.diagnosis.whole.report import check_validation_places
@@ -417,7 +495,9 @@ def _made(model: object, fmu: object, files: list[Path]) -> dict[str, Any]:
     """Return where a result comes from; of a model or FMU that is no file there is no hash."""
     from bristle.common.provenance import provenance_of
 
-    one, other = (Path(path) if isinstance(path, (str, os.PathLike)) else None for path in (model, fmu))
+    one, other = (
+        Path(path) if isinstance(path, (str, os.PathLike)) else None for path in (model, fmu)
+    )
     return provenance_of(one or other, files, fmu=other)
 
 
@@ -425,10 +505,17 @@ def _split(data: object) -> tuple[list[Path], list[Record]]:
     """Return measured files, or records that are loaded already: one of both lists is empty."""
     from bristle.diagnosis import Record
 
-    items: list[object] = list(data) if isinstance(data, Iterable) and not isinstance(data, (str, os.PathLike)) else [data]
+    items: list[object] = (
+        list(data)
+        if isinstance(data, Iterable) and not isinstance(data, (str, os.PathLike))
+        else [data]
+    )
     records = [item for item in items if isinstance(item, Record)]
     if records and len(records) < len(items):
-        raise BristleError("data mixes files and loaded records; load all with load_records, so that they get one sampling period")
+        raise BristleError(
+            "data mixes files and loaded records; load all with load_records, so that they get one"
+            " sampling period"
+        )
     return ([] if records else as_paths("data", items)), records
 
 
@@ -441,9 +528,13 @@ def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model
     if isinstance(model, diagnosis.Model):
         return model
     if model is not None:
-        raise BristleError(f"model is a {type(model).__name__}; give the path of a model file or a Model")
+        raise BristleError(
+            f"model is a {type(model).__name__}; give the path of a model file or a Model"
+        )
     if fmu is None:
-        raise BristleError("nothing to diagnose: model is None; give a model file, a Model, or fmu=PLANT.fmu")
+        raise BristleError(
+            "nothing to diagnose: model is None; give a model file, a Model, or fmu=PLANT.fmu"
+        )
     return diagnosis.fmu_model(as_path("fmu", fmu))
 
 
@@ -485,7 +576,8 @@ def load_record(model: PathLike | Model, file: PathLike) -> Record:
     Raises
     ------
     BristleError
-        If the file cannot be read or its columns are not usable, or a gap splits it into several records: then use `load_records`.
+        If the file cannot be read or its columns are not usable, or a gap splits it into several
+        records: then use `load_records`.
     """
     records = load_records(model, file)
     if len(records) != 1:
@@ -511,14 +603,17 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     Raises
     ------
     BristleError
-        If a file cannot be read or its columns are not usable. Files sampled at different rates are brought to the slowest.
+        If a file cannot be read or its columns are not usable. Files sampled at different rates are
+        brought to the slowest.
     """
     from bristle import diagnosis
 
     return diagnosis.load_records(_model(model), as_paths("files", files))
 
 
-def records_from_arrays(model: PathLike | Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
+def records_from_arrays(
+    model: PathLike | Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]
+) -> list[Record]:
     """Check and clean records in memory.
 
     Parameters

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["Reproduction", "Result", "SweepResult"]
 
 TABLES = ("signals", "estimates", "checks")  # of a result, in the form of pandas
-ESTIMATE_NUMBERS = ("final", "sd", "true", "error_percent", "settling_s", "valid")  # of an estimate, in the form of xarray
+# of an estimate, in the form of xarray
+ESTIMATE_NUMBERS = ("final", "sd", "true", "error_percent", "settling_s", "valid")
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,7 +35,9 @@ class _Answer:
 
     @property
     def verdict(self) -> str:
-        """``"pass"`` if all checks pass and every run reached the end that is expected of it, else ``"fail"``."""
+        """``"pass"`` if all checks pass and every run reached the end that is expected of it, else
+        ``"fail"``.
+        """
         return str(self.data["verdict"])
 
     @property
@@ -67,8 +70,9 @@ class Result(_Answer):
 
     @property
     def estimates(self) -> Mapping[str, Mapping[str, Any]]:
-        """Of each estimated parameter: unit, true value (None if there is none), final value and its standard deviation (None if
-        the observer gives none), whether it is valid and adapted, error [%], settling time [s]."""
+        """Of each estimated parameter: unit, true value (None if there is none), final value and
+        its standard deviation (None if the observer gives none), whether it is valid and adapted,
+        error [%], settling time [s]."""
         found: Mapping[str, Mapping[str, Any]] = self.data["estimates"]
         return found
 
@@ -84,7 +88,8 @@ class Result(_Answer):
         Returns
         -------
         dict of str to ndarray, shape (n,)
-            ``time`` [s] and every signal (SI units), thinned to at most 2000 rows; not a number where there is no value.
+            ``time`` [s] and every signal (SI units), thinned to at most 2000 rows; not a number
+            where there is no value.
         """
         import numpy as np
 
@@ -94,14 +99,17 @@ class Result(_Answer):
             table = np.loadtxt(lines, delimiter=",", ndmin=2)
         return dict(zip(names, table.T, strict=True))
 
-    def to_pandas(self, table: Literal["signals", "estimates", "checks"] = "signals") -> pd.DataFrame:
-        """Return signals, estimates or checks as a table of pandas, which the extra ``frames`` installs.
+    def to_pandas(
+        self, table: Literal["signals", "estimates", "checks"] = "signals"
+    ) -> pd.DataFrame:
+        """Return signals, estimates or checks as a table of pandas, which the extra ``frames``
+        installs.
 
         Parameters
         ----------
         table : {"signals", "estimates", "checks"}, optional
-            ``"signals"``: a column a signal (SI units), over the time [s]; ``"estimates"``: a row a parameter, as in `estimates`;
-            ``"checks"``: a row a check, as in `checks`.
+            ``"signals"``: a column a signal (SI units), over the time [s]; ``"estimates"``: a row a
+            parameter, as in `estimates`; ``"checks"``: a row a check, as in `checks`.
 
         Returns
         -------
@@ -117,20 +125,24 @@ class Result(_Answer):
             columns = self.signals()
             found = pandas.DataFrame(columns, index=pandas.Index(columns.pop("time"), name="time"))
         elif table == "estimates":
-            found = pandas.DataFrame.from_dict(self.estimates, orient="index").rename_axis("parameter")
+            found = pandas.DataFrame.from_dict(self.estimates, orient="index").rename_axis(
+                "parameter"
+            )
         else:
             found = pandas.DataFrame(list(self.checks))
         return cast("pd.DataFrame", found)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return signals and estimates as a data set of xarray, which the extra ``frames`` installs.
+        """Return signals and estimates as a data set of xarray, which the extra ``frames``
+        installs.
 
         Returns
         -------
         xarray.Dataset
-            The signals over the coordinate ``time`` [s]; over the coordinate ``parameter`` the numbers of the estimates, such as
-            ``estimate_final`` and ``estimate_true``, in the units of the coordinate ``unit``, not a number where there is none.
-            Attributes: ``scenario`` and ``verdict``.
+            The signals over the coordinate ``time`` [s]; over the coordinate ``parameter`` the
+            numbers of the estimates, such as ``estimate_final`` and ``estimate_true``, in the units
+            of the coordinate ``unit``, not a number where there is none. Attributes: ``scenario``
+            and ``verdict``.
 
         Raises
         ------
@@ -139,17 +151,24 @@ class Result(_Answer):
         """
         xarray: Any = _frames("xarray")
         columns, estimates = self.signals(), self.estimates
-        coordinates: dict[str, Any] = {"time": ("time", columns.pop("time"), {"units": "s"}), "parameter": list(estimates)}
+        coordinates: dict[str, Any] = {
+            "time": ("time", columns.pop("time"), {"units": "s"}),
+            "parameter": list(estimates),
+        }
         coordinates["unit"] = ("parameter", [e["unit"] for e in estimates.values()])
         variables: dict[str, Any] = {name: ("time", values) for name, values in columns.items()}
         for key in ESTIMATE_NUMBERS:
-            numbers = [float("nan") if e[key] is None else float(e[key]) for e in estimates.values()]
+            numbers = [
+                float("nan") if e[key] is None else float(e[key]) for e in estimates.values()
+            ]
             variables[f"estimate_{key}"] = ("parameter", numbers)
         attributes = {"scenario": self.scenario, "verdict": self.verdict}
         return cast("xr.Dataset", xarray.Dataset(variables, coordinates, attributes))
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the verdict, a table of the estimates, and one of the checks."""
+        """Return what a notebook shows: the verdict, a table of the estimates, and one of the
+        checks.
+        """
         from html import escape
 
         from bristle.common import html
@@ -157,32 +176,57 @@ class Result(_Answer):
 
         shown = ("final", "sd", "true", "error_percent", "settling_s")
         estimates = [
-            [html.identifier(name), *(html.number(e[key]) for key in shown), html.unit(e["unit"]), "yes" if e["valid"] else "no"]
+            [
+                html.identifier(name),
+                *(html.number(e[key]) for key in shown),
+                html.unit(e["unit"]),
+                "yes" if e["valid"] else "no",
+            ]
             for name, e in self.estimates.items()
         ]
         limits = [f"{SIGNS[check['kind']]} {html.number(check['limit'])}" for check in self.checks]
         checks = [
-            [escape(check["name"]), html.number(check["value"]), limit, "pass" if check["pass"] else "FAIL"]
+            [
+                escape(check["name"]),
+                html.number(check["value"]),
+                limit,
+                "pass" if check["pass"] else "FAIL",
+            ]
             for check, limit in zip(self.checks, limits, strict=True)
         ]
         parts = [f"<p><b>{escape(self.scenario)}: {escape(self.verdict)}</b></p>"]
         heads = ["parameter", "estimate", "sd", "true", "error, %", "settling, s", "unit", "valid"]
-        parts += [html.table(heads, estimates, range(1, 6)), html.table(["check", "value", "limit", ""], checks, (1,))]
+        parts += [
+            html.table(heads, estimates, range(1, 6)),
+            html.table(["check", "value", "limit", ""], checks, (1,)),
+        ]
         return "\n".join([*parts, f"<p>{escape(str(self.report))}</p>"])
 
     def __repr__(self) -> str:
         good = sum(bool(check["pass"]) for check in self.checks)
-        return f"<Result {self.scenario!r}: {self.verdict}, {good} of {len(self.checks)} checks pass, in {str(self.folder)!r}>"
+        return (
+            f"<Result {self.scenario!r}: {self.verdict}, {good} of {len(self.checks)} checks pass,"
+            f" in {str(self.folder)!r}>"
+        )
 
     def __str__(self) -> str:
         lines = [f"{self.scenario}: {self.verdict}"]
         for name, e in self.estimates.items():
             state = "valid    " if e["valid"] else "not valid"
-            line = f"  {name:<10} {_number(e['final'])} {e['unit']:<12} sd {_number(e['sd'])}   {state}"
-            compared = "" if e["true"] is None else f"   true {_number(e['true'])}   error {_number(e['error_percent'])} %"
+            line = (
+                f"  {name:<10} {_number(e['final'])} {e['unit']:<12} sd {_number(e['sd'])}  "
+                f" {state}"
+            )
+            compared = (
+                ""
+                if e["true"] is None
+                else f"   true {_number(e['true'])}   error {_number(e['error_percent'])} %"
+            )
             lines.append(line + compared)
         lines += [
-            f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}: {_number(check['value'])}" for check in self.checks
+            f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}:"
+            f" {_number(check['value'])}"
+            for check in self.checks
         ]
         return "\n".join([*lines, f"  {self.report}"])
 
@@ -211,7 +255,8 @@ class SweepResult:
         return self._store().table()
 
     def query(self, sql: str) -> list[dict[str, Any]]:
-        """Return the rows of an SQL query on the table ``runs``; DuckDB, which answers it, comes with the extra ``query``.
+        """Return the rows of an SQL query on the table ``runs``; DuckDB, which answers it, comes
+        with the extra ``query``.
 
         Raises
         ------
@@ -262,7 +307,9 @@ class Reproduction(_Answer):
 
     @property
     def eq25(self) -> Sequence[Mapping[str, Any]]:
-        """Eq. (25) of all models [%], an entry for each plant and order of the reference; None where there is none."""
+        """Eq. (25) of all models [%], an entry for each plant and order of the reference; None
+        where there is none.
+        """
         found: Sequence[Mapping[str, Any]] = self.data["eq25"]
         return found
 
@@ -274,7 +321,11 @@ class Reproduction(_Answer):
         from bristle.harness.reproduce import COMPARED
 
         rows = [
-            [f"{escape(row['plant'])}, order {row['order']}", *(html.number(row[key]) for key in COMPARED)] for row in self.eq25
+            [
+                f"{escape(row['plant'])}, order {row['order']}",
+                *(html.number(row[key]) for key in COMPARED),
+            ]
+            for row in self.eq25
         ]
         table = html.table(["eq. (25), %", *COMPARED], rows, range(1, len(COMPARED) + 1))
         return f"<p><b>{escape(self.verdict)}</b></p>\n{table}\n<p>{escape(str(self.report))}</p>"
@@ -285,7 +336,10 @@ class Reproduction(_Answer):
     def __str__(self) -> str:
         from bristle.harness.reproduce import COMPARED
 
-        lines = [f"{self.verdict}; eq. (25), %", f"  {'':<12}" + "".join(f"{name:>11}" for name in COMPARED)]
+        lines = [
+            f"{self.verdict}; eq. (25), %",
+            f"  {'':<12}" + "".join(f"{name:>11}" for name in COMPARED),
+        ]
         for row in self.eq25:
             values = "".join(f" {_number(row[name])}" for name in COMPARED)
             lines.append(f"  {row['plant'] + ', order ' + str(row['order']):<12}{values}")

@@ -1,4 +1,6 @@
-"""What extensions and effects are: something a servo may have beside its friction law, as slots that `servo` composes."""
+"""What extensions and effects are: something a servo may have beside its friction law, as slots
+that `servo` composes.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,21 @@ from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
 __all__ = [
-    "BOTH_DIRECTIONS", "BOTH_SIGNS", "DRY_FRICTION", "NEEDS", "OVER_INERTIA", "REVERSALS", "Context", "Coupling", "Effect",
-    "Evidence", "Extension", "Limits", "RecordedMotion", "power",
-]  # fmt: skip
+    "BOTH_DIRECTIONS",
+    "BOTH_SIGNS",
+    "DRY_FRICTION",
+    "NEEDS",
+    "OVER_INERTIA",
+    "REVERSALS",
+    "Context",
+    "Coupling",
+    "Effect",
+    "Evidence",
+    "Extension",
+    "Limits",
+    "RecordedMotion",
+    "power",
+]
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -42,11 +56,18 @@ VIEWS = {  # quantities that a residual torque may be a function of
 }
 
 
-BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS = "motion in both directions", "reversals", "an input of both signs"
-NEEDS = (BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS)  # what records may lack so that an effect is indistinguishable from others
+BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS = (
+    "motion in both directions",
+    "reversals",
+    "an input of both signs",
+)
+# what records may lack so that an effect is indistinguishable from others
+NEEDS = (BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS)
 
-DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")  # normalised parameters that grow with the dry friction
-OVER_INERTIA = ("alpha2", "b", "load", *DRY_FRICTION)  # normalised parameters that have the inertia below them
+# normalised parameters that grow with the dry friction
+DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")
+# normalised parameters that have the inertia below them
+OVER_INERTIA = ("alpha2", "b", "load", *DRY_FRICTION)
 LONGEST_DELAY = 40  # sampling periods kept by what delays a measurement (1)
 
 RESONANCE_WINDOW = 4.0  # s: length of the windows over which a spectrum is averaged
@@ -61,8 +82,9 @@ def power(x: SX, exponent: SX) -> SX:
 
 @dataclass(frozen=True)
 class Context:
-    """What a slot sees: its own parameters and states as p.amplitude, the servo's as p.J; position and velocity of the
-    side it acts on, the input as it arrives at the slot, time, and the motor torque."""
+    """What a slot sees: its own parameters and states as p.amplitude, the servo's as p.J; position
+    and velocity of the side it acts on, the input as it arrives at the slot, time, and the motor
+    torque."""
 
     p: Namespace
     theta: SX
@@ -74,7 +96,9 @@ class Context:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A second inertia: its share of the servo's J, and the torque [N.m] that the motor side hands to it."""
+    """A second inertia: its share of the servo's J, and the torque [N.m] that the motor side hands
+    to it.
+    """
 
     share: SX
     torque: SX
@@ -93,9 +117,11 @@ class Evidence:
     inertia, level, gain : float
         Fitted inertia [kg.m2], dry friction [N.m] and torque over input.
     regress : function
-        Coefficients (k,) of torques (n, k) [N.m] in what the model leaves, and the log-likelihood they gain [nats].
+        Coefficients (k,) of torques (n, k) [N.m] in what the model leaves, and the log-likelihood
+        they gain [nats].
     turn : float
-        Path after which a motion begins anew: one turn or, on a linear axis, the range that was travelled.
+        Path after which a motion begins anew: one turn or, on a linear axis, the range that was
+        travelled.
     """
 
     theta: Array
@@ -116,11 +142,14 @@ class Evidence:
         return float(self.regress(torque[:, None])[0][0])
 
     def resonances(self, count: int) -> list[float]:
-        """Return the frequencies [Hz] at which the torque that an inertia with dry friction lacks has its highest peaks.
+        """Return the frequencies [Hz] at which the torque that an inertia with dry friction lacks
+        has its highest peaks.
 
-        At most `count`, the highest first; from four periods in a window upwards. Source: welch1967 (averaged spectrum).
+        At most `count`, the highest first; from four periods in a window upwards. Source: welch1967
+        (averaged spectrum).
         """
-        from scipy.signal import find_peaks, welch  # only where it is needed: its import takes half a second
+        # only where it is needed: its import takes half a second
+        from scipy.signal import find_peaks, welch
 
         lacking = self.inertia * self.a + self.level * np.sign(self.v) - self.gain * self.u
         window = min(len(lacking), round(RESONANCE_WINDOW / self.h))
@@ -133,8 +162,12 @@ class Evidence:
         """Return the numbers of periods [1/rad] of which so many fit into a turn."""
         return [2 * np.pi / self.turn * n for n in range(least, most + 1)]
 
-    def best(self, options: Sequence[float], columns: Callable[[float], Array], count: int) -> list[tuple[float, Array]]:
-        """Return the options whose torques gain most, each with its coefficients; the best first."""
+    def best(
+        self, options: Sequence[float], columns: Callable[[float], Array], count: int
+    ) -> list[tuple[float, Array]]:
+        """Return the options whose torques gain most, each with its coefficients; the best
+        first.
+        """
         found = [(*self.regress(columns(option)), option) for option in options]
         found.sort(key=lambda each: -each[1])
         return [(option, coefficients) for coefficients, _, option in found[:count]]
@@ -147,9 +180,11 @@ class RecordedMotion:
     Attributes
     ----------
     theta, v, u, time : ndarray, shape (n,)
-        Position [rad], velocity [rad/s], input [V] and time [s] of all records, one after the other.
+        Position [rad], velocity [rad/s], input [V] and time [s] of all records, one after the
+        other.
     turn : float
-        Path after which a motion begins anew [rad]: one turn or, on a linear axis, the range travelled.
+        Path after which a motion begins anew [rad]: one turn or, on a linear axis, the range
+        travelled.
     segment : float
         Length of the segments that are simulated [s].
     linear : bool
@@ -166,7 +201,9 @@ class RecordedMotion:
 
     @property
     def two_periods(self) -> float:
-        """The number of periods [1/rad] of which two fit into a turn or into the range travelled."""
+        """The number of periods [1/rad] of which two fit into a turn or into the range
+        travelled.
+        """
         return 2 * 2 * np.pi / self.turn
 
 
@@ -175,7 +212,8 @@ Limits = dict[str, tuple[float, float]]  # intervals by short names of parameter
 
 @dataclass(frozen=True)
 class Extension:
-    """What a servo may have beside its friction law; each slot is a function of a `Context`, and what is None is not touched.
+    """What a servo may have beside its friction law; each slot is a function of a `Context`, and
+    what is None is not touched.
 
     Attributes
     ----------
@@ -190,14 +228,16 @@ class Extension:
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     without_truth : tuple of str
-        Normalised parameters that have no true value beside it: it makes them vary, or changes what an observer should find.
+        Normalised parameters that have no true value beside it: it makes them vary, or changes what
+        an observer should find.
     states, rates : tuple of State, function
         Own continuous states and their derivatives; the context is that of its input map.
     follow : function
-        Values of own continuous states without rates at the end of an internal step; arguments the context at its start, the
-        position and the velocity at its end.
+        Values of own continuous states without rates at the end of an internal step; arguments the
+        context at its start, the position and the velocity at its end.
     sampled, updates : tuple of State, function
-        Own sampled states, updated before an interval is integrated. Their `initial` may be a function of the parameters.
+        Own sampled states, updated before an interval is integrated. Their `initial` may be a
+        function of the parameters.
     command : function
         Map of the input before the drive's limit u_max.
     drive : function
@@ -207,10 +247,12 @@ class Extension:
     load : function
         Constant torque within `torque` [N.m], which an observer is to find as the load.
     factor : function
-        Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
-        smooth law chooses by the sign of its friction force, so that the product stays continuous.
+        Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law
+        gets two bounds; a smooth law chooses by the sign of its friction force, so that the product
+        stays continuous.
     bound : function
-        Dry-friction torque added [N.m], against forward and backward motion. A smooth law grows by it in proportion to its Fc.
+        Dry-friction torque added [N.m], against forward and backward motion. A smooth law grows by
+        it in proportion to its Fc.
     output : function
         Position and velocity that are measured.
     delay : function
@@ -218,7 +260,8 @@ class Extension:
     coupling : function
         Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
     bristles : function
-        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
+        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued
+        friction.
     file : str
         File of a plug-in, for errors in its equations.
     """
@@ -250,13 +293,14 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect(Extension):
-    """An extension that a diagnosis can find missing: what it looks like in records, and how a diagnosis searches for it.
+    """An extension that a diagnosis can find missing: what it looks like in records, and how a
+    diagnosis searches for it.
 
     Attributes
     ----------
     title : str
-        What it is, in two to five words; this, `description`, `excitation`, `separation` and the descriptions of the
-        parameters may have the placeholders of a `Wording`.
+        What it is, in two to five words; this, `description`, `excitation`, `separation` and the
+        descriptions of the parameters may have the placeholders of a `Wording`.
     group : str
         Name of its class: the effects that data may not distinguish, joined by a slash.
     equation : str
@@ -266,44 +310,55 @@ class Effect(Extension):
     excitation : str
         What a record must contain to show the effect.
     needs : tuple of str
-        What of `NEEDS` the records must contain: without it they cannot show the effect, or only as another one.
+        What of `NEEDS` the records must contain: without it they cannot show the effect, or only as
+        another one.
     confounded : tuple of str
         Names of the effects it is easily taken for.
     timing : str
-        How it depends on time: "event" if it happens once, "course" if it goes on, empty if it does not.
+        How it depends on time: "event" if it happens once, "course" if it goes on, empty if it does
+        not.
     sparse : bool
         True if it only acts beyond a limit, so that it may show in a few segments of a record.
     nonsmooth : bool
         True if it switches, so that a fit along derivatives ends at one of many small maxima.
     free_play : str
-        Of a coupling: its parameter, by a short name, that says how far the load can move by itself.
+        Of a coupling: its parameter, by a short name, that says how far the load can move by
+        itself.
     shape_starts : tuple of mapping
-        Parameters, by short names, of its shape, which do nothing at their defaults: a fit frees them last, from each of
-        these start values.
+        Parameters, by short names, of its shape, which do nothing at their defaults: a fit frees
+        them last, from each of these start values.
     second_term : tuple of str
-        Parameters, by short names, of a second term, which is zero while the first of them is at its default.
+        Parameters, by short names, of a second term, which is zero while the first of them is at
+        its default.
     off : mapping
-        Values, by short names, of parameters at which the whole effect does nothing; empty if there are none.
+        Values, by short names, of parameters at which the whole effect does nothing; empty if there
+        are none.
     unused : mapping
-        Values, by short names, at which an optional part does nothing, such as a stop that is never reached.
+        Values, by short names, at which an optional part does nothing, such as a stop that is never
+        reached.
     search_interval : mapping
-        Intervals, by short names, in which a fit looks for parameters where that is narrower than what can be simulated.
+        Intervals, by short names, in which a fit looks for parameters where that is narrower than
+        what can be simulated.
     limits, credible : function
-        Intervals of parameters, by short names, from a `RecordedMotion`: how far they may move, and beyond which values the
-        effect is named only with a stronger likelihood gain.
+        Intervals of parameters, by short names, from a `RecordedMotion`: how far they may move, and
+        beyond which values the effect is named only with a stronger likelihood gain.
     once_per_turn : bool
         True if it repeats with each turn of a shaft, so that a linear axis does not have it.
     periods : str
-        Its parameter, by a short name, that gives the periods in a turn [1/rad], if it repeats along the position.
+        Its parameter, by a short name, that gives the periods in a turn [1/rad], if it repeats
+        along the position.
     excluded : function
-        Why the servo cannot lack it beside a friction law that has it already, as a text; empty where it can.
+        Why the servo cannot lack it beside a friction law that has it already, as a text; empty
+        where it can.
     separation : str
         What to measure to distinguish the effects of its class (stated by one effect of the class).
     rigid_friction : bool
-        True for the one effect whose bristles, too stiff for the sensor to see, are part of each simulation of set-valued
-        friction in a diagnosis: without them each effect would be fitted to the last digits of sticking.
+        True for the one effect whose bristles, too stiff for the sensor to see, are part of each
+        simulation of set-valued friction in a diagnosis: without them each effect would be fitted
+        to the last digits of sticking.
     starts : function
-        Starting values from data: for each start the parameters that a fit may move, by their short names.
+        Starting values from data: for each start the parameters that a fit may move, by their short
+        names.
     """
 
     title: str
@@ -333,7 +388,9 @@ class Effect(Extension):
 
     def worded(self, wording: Wording) -> Effect:
         """Return the effect with the words for an axis in its texts."""
-        parameters = tuple(replace(p, description=wording.fill(p.description)) for p in self.parameters)
+        parameters = tuple(
+            replace(p, description=wording.fill(p.description)) for p in self.parameters
+        )
         return replace(
             self,
             description=wording.fill(self.description),
@@ -350,8 +407,12 @@ class Effect(Extension):
 
     @property
     def decisive(self) -> Parameter:
-        """What must be known for it to be told from others: its strength, or the free play, without which it is a shaft."""
-        return next((p for p in self.parameters if p.name == f"{self.name}.{self.free_play}"), self.strength)
+        """What must be known for it to be told from others: its strength, or the free play, without
+        which it is a shaft.
+        """
+        return next(
+            (p for p in self.parameters if p.name == f"{self.name}.{self.free_play}"), self.strength
+        )
 
     @property
     def shape_parameters(self) -> frozenset[str]:
@@ -367,7 +428,11 @@ class Effect(Extension):
     def inactive_values(self) -> dict[str, float]:
         """Values, by full names, at which its optional parameters do nothing."""
         optional = {*self.second_term, *self.shape_parameters}
-        defaults = {p.name: p.default for p in self.parameters if p.name.removeprefix(f"{self.name}.") in optional}
+        defaults = {
+            p.name: p.default
+            for p in self.parameters
+            if p.name.removeprefix(f"{self.name}.") in optional
+        }
         return defaults | self.by_full_name(self.unused)
 
     def by_full_name(self, values: Mapping[str, T]) -> dict[str, T]:
@@ -379,20 +444,29 @@ E = TypeVar("E", bound=Extension)
 
 
 def arrange(effects: Sequence[E]) -> list[E]:
-    """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""
+    """Return the effects in the order in which they act; raise `BristleError` for those that
+    exclude each other.
+    """
     names = [effect.name for effect in effects]
     for name in names:
         if names.count(name) > 1:
             raise BristleError(f"effect '{name}' is given twice; give it once")
-    for slot, what in (("coupling", "put a second inertia behind the motor"), ("bristles", "put bristles under the friction")):
+    for slot, what in (
+        ("coupling", "put a second inertia behind the motor"),
+        ("bristles", "put bristles under the friction"),
+    ):
         both = sorted(effect.name for effect in effects if getattr(effect, slot) is not None)
         if len(both) > 1:
-            raise BristleError(f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them")
+            raise BristleError(
+                f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them"
+            )
     return sorted(effects, key=lambda effect: (effect.order, effect.name))
 
 
 class Effects:
-    """The effects of one servo at work: its slots in turn, each with what is computed up to that point."""
+    """The effects of one servo at work: its slots in turn, each with what is computed up to that
+    point.
+    """
 
     def __init__(self, system: System, effects: Sequence[Extension], theta: SX, v: SX) -> None:
         self._system, self._effects = system, effects
@@ -402,10 +476,15 @@ class Effects:
         """Yield the effects that fill a slot, with what they see."""
         for effect in self._effects:
             if getattr(effect, slot) is not None:
-                yield effect, replace(self._seen, p=self._system.namespace(f"{effect.name}."), **seen)
+                yield (
+                    effect,
+                    replace(self._seen, p=self._system.namespace(f"{effect.name}."), **seen),
+                )
 
     def input(self, slot: str, u: SX) -> SX:
-        """Send the input through the maps of a slot, and give the states of these maps their equations."""
+        """Send the input through the maps of a slot, and give the states of these maps their
+        equations.
+        """
         for effect, c in self.having(slot):
             here = replace(c, u=u)
             for name, rate in (effect.rates(here) if effect.rates else {}).items():
@@ -424,34 +503,50 @@ class Effects:
 
     def load(self) -> SX:
         """Return the constant torque that acts as a load."""
-        return sum((effect.load(c) for effect, c in self.having("load") if effect.load is not None), SX(0))
+        return sum(
+            (effect.load(c) for effect, c in self.having("load") if effect.load is not None), SX(0)
+        )
 
-    def friction(self, law: FrictionLaw, friction: Friction, scale: SX, motor: SX, inertia: SX) -> tuple[SX, SX | None, SX | None]:
-        """Return (friction torque, bound of set-valued friction, bound against backward motion where it differs)."""
+    def friction(
+        self, law: FrictionLaw, friction: Friction, scale: SX, motor: SX, inertia: SX
+    ) -> tuple[SX, SX | None, SX | None]:
+        """Return (friction torque, bound of set-valued friction, bound against backward motion
+        where it differs).
+        """
         forward = backward = scale
         for effect, c in self.having("factor"):
             if friction.bound is None and SX(friction.force).is_zero():
                 raise BristleError(
-                    f"effect '{effect.name}' scales dry friction, which law '{law.name}' does not have; choose another law"
+                    f"effect '{effect.name}' scales dry friction, which law '{law.name}' does not"
+                    " have; choose another law"
                 )
             assert effect.factor is not None
             up, down = effect.factor(c)
             alike = forward is backward and up is down
             forward, backward = forward * up, backward * down
             backward = forward if alike else backward
-        extra = [(e, *e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None]
+        extra = [
+            (e, *e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None
+        ]
         more, back = (sum((bounds[side] for _, *bounds in extra), SX(0)) for side in (0, 1))
         even = all(up is down for _, up, down in extra)
         if friction.bound is None and not SX(friction.force).is_zero():
             if extra and "Fc" not in friction.true:
                 name = extra[0][0].name
-                raise BristleError(f"effect '{name}' needs a law with a Coulomb level Fc, not '{law.name}'; choose another law")
+                raise BristleError(
+                    f"effect '{name}' needs a law with a Coulomb level Fc, not '{law.name}'; choose"
+                    " another law"
+                )
             if extra:
                 level = friction.true["Fc"] * inertia
                 alike = even and forward is backward
                 forward, backward = forward + more / level, backward + back / level
                 backward = forward if alike else backward
-            factor = forward if forward is backward else ca.if_else(friction.force > 0, forward, backward)
+            factor = (
+                forward
+                if forward is backward
+                else ca.if_else(friction.force > 0, forward, backward)
+            )
             return factor * friction.force, None, None
         if friction.bound is None and not extra:
             return scale * friction.force, None, None
@@ -460,14 +555,17 @@ class Effects:
         return scale * friction.force, upper, None if even and forward is backward else lower
 
     def bristles(self, law: FrictionLaw, bound: SX | None) -> tuple[SX, SX] | None:
-        """Return (stiffness, damping) of bristles where an effect puts them under the law's set-valued friction."""
+        """Return (stiffness, damping) of bristles where an effect puts them under the law's
+        set-valued friction.
+        """
         for effect, c in self.having("bristles"):
             if law.states:
                 own = "which has bristles of its own; set its parameters"
                 raise BristleError(f"effect '{effect.name}' cannot join law '{law.name}', {own}")
             if bound is None:
                 raise BristleError(
-                    f"effect '{effect.name}' needs dry friction, which law '{law.name}' does not have; choose another law"
+                    f"effect '{effect.name}' needs dry friction, which law '{law.name}' does not"
+                    " have; choose another law"
                 )
             assert effect.bristles is not None
             return effect.bristles(c)
@@ -485,7 +583,9 @@ class Effects:
         return effect.coupling(c, twist, rate)
 
     def follow(self, theta: SX, v: SX) -> None:
-        """Give the states of the effects that follow the motion their values, from where it is at the end of a step."""
+        """Give the states of the effects that follow the motion their values, from where it is at
+        the end of a step.
+        """
         for effect, c in self.having("follow"):
             assert effect.follow is not None
             for name, value in effect.follow(c, theta, v).items():

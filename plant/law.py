@@ -10,24 +10,37 @@ import casadi as ca
 from bristle.model.system import Directed
 from bristle.model.variables import Namespace, Parameter, State
 
-__all__ = ["Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth"]
+__all__ = [
+    "Friction",
+    "FrictionLaw",
+    "stribeck_curve",
+    "stribeck_end",
+    "stribeck_parameters",
+    "stribeck_truth",
+]
 
 SX = ca.SX
-BRISTLE_DAMPING = "bristle damping; above N(v)/v, the level over the speed, friction leads where it should lag"  # of sigma1
-NEGLIGIBLE = 0.05  # share of Coulomb friction: Stribeck effect that may remain at the speeds that step 1 uses
+# of sigma1
+BRISTLE_DAMPING = (
+    "bristle damping; above N(v)/v, the level over the speed, friction leads where it should lag"
+)
+# share of Coulomb friction: Stribeck effect that may remain at the speeds that step 1 uses
+NEGLIGIBLE = 0.05
 
 
 @dataclass(frozen=True)
 class Friction:
     """The equations of a law at velocity v.
 
-    `force` [N.m] opposes the motion and comes on top of the viscous a2 v; `rates` are the law's own states'; `bound`
-    [N.m], where given, is set-valued dry friction in addition; `true` gives the normalised parameters that an observer
-    can be compared with (only those the law has: alpha2 and b are the servo's). `switches` gives for each mode of the law
-    its next value, how far past its switching point it is and, if need be, the same by direction (as of `System.margin`).
+    `force` [N.m] opposes the motion and comes on top of the viscous a2 v; `rates` are the law's own
+    states'; `bound` [N.m], where given, is set-valued dry friction in addition; `true` gives the
+    normalised parameters that an observer can be compared with (only those the law has: alpha2 and
+    b are the servo's). `switches` gives for each mode of the law its next value, how far past its
+    switching point it is and, if need be, the same by direction (as of `System.margin`).
 
-    All is at nominal load. The servo multiplies the forces by the load and leaves the states as they are: stiffness,
-    damping and levels grow in proportion to the load, deflections and the distances over which they relax do not change.
+    All is at nominal load. The servo multiplies the forces by the load and leaves the states as
+    they are: stiffness, damping and levels grow in proportion to the load, deflections and the
+    distances over which they relax do not change.
 
     Source: canudas1999 (friction of bristles per unit of normal load).
     """
@@ -41,7 +54,8 @@ class Friction:
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """A law by name; `equations(p, v)` has its own parameters, states and modes as p.sigma0, and the servo's as p.J.
+    """A law by name; `equations(p, v)` has its own parameters, states and modes as p.sigma0, and
+    the servo's as p.J.
 
     `file` is that of a plug-in, for errors in its equations.
     """
@@ -57,7 +71,8 @@ class FrictionLaw:
 
 
 def stribeck_curve(p: Namespace, v: SX) -> SX:
-    """Return the friction level [N.m] that falls from Fs at rest to Fc: Fc + (Fs - Fc) exp(-(v/vs)^2).
+    """Return the friction level [N.m] that falls from Fs at rest to Fc: Fc + (Fs - Fc)
+    exp(-(v/vs)^2).
 
     Source: armstrong1994 (Stribeck curve, Gaussian form).
     """
@@ -65,7 +80,8 @@ def stribeck_curve(p: Namespace, v: SX) -> SX:
 
 
 def stribeck_truth(p: Namespace, stiffness: SX | None = None) -> dict[str, SX]:
-    """Return the true normalised parameters of the curve; with a stiffness also its levels as deflections.
+    """Return the true normalised parameters of the curve; with a stiffness also its levels as
+    deflections.
 
     Source: dixit2008 eq. (10), where a0 and a1 are displacements.
     """
@@ -83,5 +99,7 @@ def stribeck_parameters(law: str, source: str) -> tuple[Parameter, ...]:
     return (
         Parameter(f"{law}.Fc", "Fc", "N.m", 0.004, 1e-9, 1e6, "Coulomb friction", source),
         Parameter(f"{law}.Fs", "Fs", "N.m", 0.0072, 1e-9, 1e6, "static friction", source),
-        Parameter(f"{law}.vs", "vs", "rad/s", 0.4363323129985824, 1e-6, 1e3, "Stribeck velocity", source),
+        Parameter(
+            f"{law}.vs", "vs", "rad/s", 0.4363323129985824, 1e-6, 1e3, "Stribeck velocity", source
+        ),
     )

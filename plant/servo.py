@@ -1,4 +1,6 @@
-"""The servo: voltage drive with saturation, inertia, a friction law, effects, and (optionally) an encoder."""
+"""The servo: voltage drive with saturation, inertia, a friction law, effects, and (optionally) an
+encoder.
+"""
 
 from __future__ import annotations
 
@@ -25,29 +27,72 @@ __all__ = ["servo", "servo_program"]
 SX = ca.SX
 
 J = Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7), section IV-A")
-B = Parameter("b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the drive", "dixit2008 eq. (7)")
-A2 = Parameter("a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", "dixit2008 eq. (8)")
-U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage the drive can give", "dixit2008 section IV-A")
-THETA_START = Parameter("theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)")
-V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", "dixit2008 eq. (7)")
+B = Parameter(
+    "b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the drive", "dixit2008 eq. (7)"
+)
+A2 = Parameter(
+    "a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", "dixit2008 eq. (8)"
+)
+U_MAX = Parameter(
+    "u_max",
+    "u_max",
+    "V",
+    24.0,
+    0.0,
+    1e6,
+    "largest voltage the drive can give",
+    "dixit2008 section IV-A",
+)
+THETA_START = Parameter(
+    "theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)"
+)
+V_START = Parameter(
+    "v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", "dixit2008 eq. (7)"
+)
 TWIST_START = Parameter(
-    "twist_start", "e0", "rad", 0.0, -1e6, 1e6, "how far the load is behind the motor at the start", "spong2006 chapter 6"
+    "twist_start",
+    "e0",
+    "rad",
+    0.0,
+    -1e6,
+    1e6,
+    "how far the load is behind the motor at the start",
+    "spong2006 chapter 6",
 )
 TWISTING_START = Parameter(
-    "twisting_start", "w0", "rad/s", 0.0, -1e4, 1e4, "how much slower the load is at the start", "spong2006 chapter 6"
+    "twisting_start",
+    "w0",
+    "rad/s",
+    0.0,
+    -1e4,
+    1e4,
+    "how much slower the load is at the start",
+    "spong2006 chapter 6",
 )
 LOAD_STARTS = (TWIST_START, TWISTING_START)  # start values of a servo with a second inertia
-ENCODER_COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
+ENCODER_COUNTS = Parameter(
+    "encoder.counts",
+    "N",
+    "1",
+    40000.0,
+    1.0,
+    1e9,
+    "encoder counts in a turn",
+    "dixit2008 section IV-A",
+)
 
 
 def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Extension] = ()) -> System:
-    """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
+    """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2
+    v, theta' = v.
 
-    With a second inertia, theta and v are the motor's, which friction acts on and the encoder shows; tau_load acts on
-    the load. Output theta, v and encoder are what is measured; F is the friction torque, effects included. A delay of the
-    measurement delays F too, so that it belongs to v.
+    With a second inertia, theta and v are the motor's, which friction acts on and the encoder
+    shows; tau_load acts on the load. Output theta, v and encoder are what is measured; F is the
+    friction torque, effects included. A delay of the measurement delays F too, so that it belongs
+    to v.
 
-    Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
+    Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load
+    scales friction.
     """
     ordered = arrange(effects)
     with naming_plugins([law, *ordered]):
@@ -61,8 +106,17 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
         system.parameter(parameter)
     u = system.input(Variable("u", "V", "voltage asked of the drive", minimum=-1e9, maximum=1e9))
-    tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9))
-    scale = Variable("load_scale", "1", "normal load over nominal; scales dry friction", 1.0, minimum=0.0, maximum=1e6)
+    tau_load = system.input(
+        Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9)
+    )
+    scale = Variable(
+        "load_scale",
+        "1",
+        "normal load over nominal; scales dry friction",
+        1.0,
+        minimum=0.0,
+        maximum=1e6,
+    )
     load_scale = system.input(scale)
     theta = system.state(State("theta", "rad", "position", initial=theta_start))
     v = system.state(State("v", "rad/s", "velocity", initial=v_start))
@@ -95,35 +149,55 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
         lower = bound if backward is None else backward
         # at rest the friction is whatever holds the shaft, up to the bound
         sliding = ca.if_else(v > 0, bound, -lower)
-        force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding)
+        force = smooth + ca.if_else(
+            v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding
+        )
     theta_shown, v_shown = work.shown(theta, v)
     if any(effect.follow for effect in ordered):
         work.follow(system.end("theta"), system.end("v"))
     first = ca.vertcat(*work.shown(theta_start, v_start))
-    at_start = system.vector([f"{effect.name}.{state.name}" for effect in ordered for state in effect.states])
+    at_start = system.vector(
+        [f"{effect.name}.{state.name}" for effect in ordered for state in effect.states]
+    )
     begin = ca.vertcat(*(SX(state.initial) for effect in ordered for state in effect.states))
-    theta_first, v_first = ca.vertsplit(ca.substitute(first, at_start, begin) if begin.numel() else first)
+    theta_first, v_first = ca.vertsplit(
+        ca.substitute(first, at_start, begin) if begin.numel() else first
+    )
     delay = work.delay()
-    position = _output(system, Variable("theta", "rad", "position"), theta_shown, theta_first, delay)
+    position = _output(
+        system, Variable("theta", "rad", "position"), theta_shown, theta_first, delay
+    )
     _output(system, Variable("v", "rad/s", "velocity"), v_shown, v_first, delay)
-    _output(system, Variable("F", "N.m", "friction torque, viscous part included"), force, SX(0), delay)
+    _output(
+        system, Variable("F", "N.m", "friction torque, viscous part included"), force, SX(0), delay
+    )
     if encoder:
         _encoder(system, position, theta_first)
     lost = {name for effect in ordered for name in effect.without_truth}
-    true = {"alpha2": a2 / j, "b": b / j, "load": work.load() / j, "delay": SX(0) if delay is None else delay, **friction.true}
+    true = {
+        "alpha2": a2 / j,
+        "b": b / j,
+        "load": work.load() / j,
+        "delay": SX(0) if delay is None else delay,
+        **friction.true,
+    }
     _true_values(system, {name: x for name, x in true.items() if name not in lost})
     return system
 
 
 def _described(what: str, effects: Sequence[Extension]) -> str:
-    """Return what a servo is, with its effects and the normalised parameters that have no true value beside them."""
+    """Return what a servo is, with its effects and the normalised parameters that have no true
+    value beside them.
+    """
     lost = dict.fromkeys(name for effect in effects for name in effect.without_truth)
     said = f"; no true value of {', '.join(lost)}" if lost else ""
     return " with ".join([what, *(effect.name for effect in effects)]) + said
 
 
 def _declare_states(system: System, effects: Sequence[Extension]) -> None:
-    """Declare the states of the effects under their names, with start values where these follow from parameters."""
+    """Declare the states of the effects under their names, with start values where these follow
+    from parameters.
+    """
     for effect in effects:
         p = system.namespace(f"{effect.name}.")
         for state in effect.states:
@@ -134,17 +208,24 @@ def _declare_states(system: System, effects: Sequence[Extension]) -> None:
 
 
 def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX | None) -> SX:
-    """Declare an output, delayed by so many sampling periods; return what it shows once the present sample is taken.
+    """Declare an output, delayed by so many sampling periods; return what it shows once the present
+    sample is taken.
 
-    Before the start it was what it is at the start. The samples on either side of the delay are interpolated linearly.
-    Source: laakso1996 (fractional delay of order one).
+    Before the start it was what it is at the start. The samples on either side of the delay are
+    interpolated linearly. Source: laakso1996 (fractional delay of order one).
     """
     if delay is None:
         system.output(variable, value)
         return value
     line = [
         system.sampled(
-            State(f"{variable.name}_{i}", variable.unit, f"{variable.name} of {i} samples before", initial=start), after=True
+            State(
+                f"{variable.name}_{i}",
+                variable.unit,
+                f"{variable.name} of {i} samples before",
+                initial=start,
+            ),
+            after=True,
         )
         for i in range(LONGEST_DELAY + 1)
     ]
@@ -156,22 +237,31 @@ def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX 
     return sum((w * x for w, x in zip(weights, following, strict=True)), SX(0))
 
 
-def _bristles(system: System, inertia: SX, bound: SX, backward: SX | None, stiffness: SX, damping: SX) -> SX:
+def _bristles(
+    system: System, inertia: SX, bound: SX, backward: SX | None, stiffness: SX, damping: SX
+) -> SX:
     """Make the dry friction elastic before it slides; return its torque.
 
     Source: canudas1995 (LuGre with Fs = Fc).
     """
-    upper = ca.fmax(bound, 1e-12)  # without friction the bristles hold no torque, and no division by zero occurs
+    # without friction the bristles hold no torque, and no division by zero occurs
+    upper = ca.fmax(bound, 1e-12)
     lower = upper if backward is None else ca.fmax(backward, 1e-12)
-    z, v = system.state(State("z", "rad", "bristle deflection", scale=upper / stiffness)), system.symbols["v"]
+    z, v = (
+        system.state(State("z", "rad", "bristle deflection", scale=upper / stiffness)),
+        system.symbols["v"],
+    )
     bending = v - stiffness * ca.fabs(v) * z / ca.if_else(v < 0, lower, upper)
     system.rate("z", bending)
-    system.dry_friction("v", inertia, upper, None if backward is None else lower, ("z", stiffness, damping))
+    system.dry_friction(
+        "v", inertia, upper, None if backward is None else lower, ("z", stiffness, damping)
+    )
     return stiffness * z + damping * bending
 
 
 def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tuple[SX, SX]:
-    """Return (torque without friction, inertia) of the motor side; add the load behind a coupling, where there is one.
+    """Return (torque without friction, inertia) of the motor side; add the load behind a coupling,
+    where there is one.
 
     Source: spong2006 chapter 6 (two inertias behind each other).
     """
@@ -200,21 +290,31 @@ def _encoder(system: System, theta: SX, theta_start: SX) -> None:
     grid = 2 * math.pi / counts
     start = ca.floor(theta_start / grid)
     now = system.sampled(State("count", "1", "encoder count", initial=start), after=True)
-    rate = system.sampled(State("count_change", "1", "counts in the last period", initial=0.0), after=True)
+    rate = system.sampled(
+        State("count_change", "1", "counts in the last period", initial=0.0), after=True
+    )
     system.update("count", ca.floor(theta / grid))
     system.update("count_change", ca.floor(theta / grid) - now)
     system.output(Variable("theta_enc", "rad", "position the encoder shows"), now * grid)
-    system.output(Variable("v_enc", "rad/s", "velocity from the encoder's counts"), rate * grid / period)
+    system.output(
+        Variable("v_enc", "rad/s", "velocity from the encoder's counts"), rate * grid / period
+    )
 
 
 def _true_values(system: System, true: dict[str, SX]) -> None:
-    """Publish what an observer may estimate; what the law does not have, or not beside its effects, is 0 and not valid.
+    """Publish what an observer may estimate; what the law does not have, or not beside its effects,
+    is 0 and not valid.
 
     The load is that without tau_load, which is an input.
     """
     for name, (unit, description) in OBSERVED.items():
-        system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), true.get(name, SX(0)))
-        valid = Variable(f"true.{name}_valid", "1", f"the law has a true value of {name}", boolean=True)
+        system.calculate(
+            Variable(f"true.{name}", unit, f"{description}, as an observer should find it"),
+            true.get(name, SX(0)),
+        )
+        valid = Variable(
+            f"true.{name}_valid", "1", f"the law has a true value of {name}", boolean=True
+        )
         system.calculate(valid, SX(1.0 if name in true else 0.0))
 
 
@@ -226,7 +326,8 @@ def servo_program(
     sensitivities: tuple[str, ...] = (),
     observed: str | None = None,
 ) -> Program:
-    """Return the servo as a program: one law, or all laws that the effects can join behind the selector `law`.
+    """Return the servo as a program: one law, or all laws that the effects can join behind the
+    selector `law`.
 
     `sensitivities` and `observed` as of `Program`.
 
@@ -241,13 +342,19 @@ def servo_program(
     name = "_".join(["ServoPlant", *([] if law is None else [law]), *sorted(effects)])
     if law is not None:
         about = f"servo with {systems[0].description}"
-        return Program(name, systems, description=about, sensitivities=sensitivities, observed=observed)
+        return Program(
+            name, systems, description=about, sensitivities=sensitivities, observed=observed
+        )
     about = _described("servo with a friction law chosen by the parameter law", added)
     return Program(name, systems, "law", about)
 
 
-def _joined(chosen: Sequence[FrictionLaw], encoder: bool, effects: Sequence[Extension]) -> list[System]:
-    """Return the servos of the laws that the effects can join; raise the last refusal if there is none."""
+def _joined(
+    chosen: Sequence[FrictionLaw], encoder: bool, effects: Sequence[Extension]
+) -> list[System]:
+    """Return the servos of the laws that the effects can join; raise the last refusal if there is
+    none.
+    """
     found, refusal = [], None
     for law in chosen:
         try:

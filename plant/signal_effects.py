@@ -1,4 +1,5 @@
-"""Effects on the signals between the servo and the other units: noise of the input, delay of the measurement.
+"""Effects on the signals between the servo and the other units: noise of the input, delay of the
+measurement.
 
 They join a servo like the effects of `plant/effects`, but a diagnosis does not look for them.
 """
@@ -17,7 +18,8 @@ from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 
 __all__ = ["SIGNAL_EFFECTS", "extension"]
 
-NOISE_STREAM = 1_000_000_000  # added to the seed of the noise, so that a controller of the same seed draws other numbers (1)
+# added to the seed of the noise, so that a controller of the same seed draws other numbers (1)
+NOISE_STREAM = 1_000_000_000
 
 
 def _generator(p: Namespace) -> ca.SX:
@@ -52,8 +54,26 @@ INPUT_NOISE = Extension(
     "noise on the input of the servo, which the observer does not see",
     "park1988",
     parameters=(
-        Parameter("input_noise.sd", "sigma", "V", 0.1, 0.0, 1e6, "standard deviation of the noise", "park1988"),
-        Parameter("input_noise.seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the noise", "park1988"),
+        Parameter(
+            "input_noise.sd",
+            "sigma",
+            "V",
+            0.1,
+            0.0,
+            1e6,
+            "standard deviation of the noise",
+            "park1988",
+        ),
+        Parameter(
+            "input_noise.seed",
+            "seed",
+            "1",
+            1.0,
+            1.0,
+            MODULUS - 1.0,
+            "whole number that chooses the noise",
+            "park1988",
+        ),
     ),
     order=-1,
     sampled=(
@@ -87,7 +107,9 @@ SIGNAL_EFFECTS = {each.name: each for each in (INPUT_NOISE, MEASUREMENT_DELAY)}
 
 
 def extension(name: str) -> Extension:
-    """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise `BristleError` for an unknown one."""
+    """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise
+    `BristleError` for an unknown one.
+    """
     known = {**effects(packages=False), **SIGNAL_EFFECTS, **UNNAMED_TORQUES}
     if name in known:
         return known[name]

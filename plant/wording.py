@@ -1,4 +1,6 @@
-"""Words for an axis: texts of the catalogue have placeholders for what is called differently on another kind of axis."""
+"""Words for an axis: texts of the catalogue have placeholders for what is called differently on
+another kind of axis.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Wording:
     def fill(self, text: str) -> str:
         """Return a text with its placeholders filled."""
         periods = "2 pi over the length of a period" if self.linear else "periods in a turn"
-        return text.format(torque=self.torque, input=self.input_kind, periods=periods, range=self.range)
+        return text.format(
+            torque=self.torque, input=self.input_kind, periods=periods, range=self.range
+        )
 
 
 ROTARY = Wording()

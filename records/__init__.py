@@ -4,4 +4,12 @@ from bristle.records.intake import Requirements, read_record, read_records, reco
 from bristle.records.layout import Column, Layout
 from bristle.records.record import Record
 
-__all__ = ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"]
+__all__ = [
+    "Column",
+    "Layout",
+    "Record",
+    "Requirements",
+    "read_record",
+    "read_records",
+    "records_from_arrays",
+]

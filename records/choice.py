@@ -22,8 +22,10 @@ DISTINCT_SHARE = 0.9  # of the samples: least share of different values of a tim
 USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, where none is given
 SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 SHOWN_COLUMNS = 12  # columns that an error lists at most
-RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}  # 0: the first choice
-SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20  # of a setpoint among outputs, of u and y, of a column of any other name
+# 0: the first choice
+RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}
+# of a setpoint among outputs, of u and y, of a column of any other name
+SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20
 ROLE_LETTERS = {"u": "input", "y": "output"}  # what control engineers call these
 EVEN_SCATTER = 0.1  # of the median interval: largest scatter of a time that is not called so
 
@@ -56,7 +58,9 @@ class Candidate:
     def linear(self) -> bool:
         """Whether an output is in metres."""
         try:
-            factor_to(self.column.unit, self.column.scale, "m" if self.kind == "position" else "m/s")
+            factor_to(
+                self.column.unit, self.column.scale, "m" if self.kind == "position" else "m/s"
+            )
         except BristleError:
             return False
         return True
@@ -88,7 +92,8 @@ class Files:
             symbol = unit_symbol(self.units[name])
             if symbol is None:
                 raise BristleError(
-                    f"unit '{self.units[name]}' of '{name}' is not known; write for example deg, rpm, N.m, ms or count"
+                    f"unit '{self.units[name]}' of '{name}' is not known; write for example deg,"
+                    " rpm, N.m, ms or count"
                 )
             return heading(name, symbol)
         return heading(name, next(iter(self.tables.values())).units.get(name))
@@ -106,8 +111,11 @@ class Files:
         return found
 
 
-def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] = ()) -> list[Candidate]:
-    """Return what may be the "time", "input" or "output", the likeliest first; `asked` is the column that the user wants.
+def candidates(
+    files: Files, role: str, asked: str | None, taken: Sequence[str] = ()
+) -> list[Candidate]:
+    """Return what may be the "time", "input" or "output", the likeliest first; `asked` is the
+    column that the user wants.
 
     Raises
     ------
@@ -116,29 +124,43 @@ def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] 
     """
     names = [name for name in files.names if name not in taken]
     if asked is not None and asked not in names:
-        why = "is another role's already" if asked in taken else f"is no column of numbers in every file{suggest(asked, names)}"
+        why = (
+            "is another role's already"
+            if asked in taken
+            else f"is no column of numbers in every file{suggest(asked, names)}"
+        )
         raise BristleError(f"{role} '{asked}': {why}; there are: {_listed(names)}")
     make = {"time": _times, "input": _inputs, "output": _outputs}[role]
     found = [each for each in make(files, asked) if each.column.column not in taken]
     if not found:
         where = next(iter(files.tables))
-        alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
+        alone = sorted(
+            {name for table in files.tables.values() for name in table} - set(files.names)
+        )
         more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
         why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
-        likely = f"no column is likely to be the {role}{why}; give it with --{role} COLUMN: {_listed(names)}{more}"
+        likely = (
+            f"no column is likely to be the {role}{why}; give it with --{role} COLUMN:"
+            f" {_listed(names)}{more}"
+        )
         raise BristleError(f"record {where}: {likely}")
     return sorted(found, key=lambda each: (each.rank, each.scatter))
 
 
 def _what_a_time_does(files: Files) -> str:
     """Return where the first column that is called a time does not rise, or an empty text."""
-    for name in (name for name in files.names if files.clock(name) or files.heading(name).quantity == "time"):
+    for name in (
+        name for name in files.names if files.clock(name) or files.heading(name).quantity == "time"
+    ):
         for path, table in files.tables.items():
             values = table[name][np.isfinite(table[name])]
             back = np.flatnonzero(np.diff(values) < 0)
             if len(back):
                 k = int(back[0])
-                return f": '{name}' goes back in {path}, from {values[k]:.6g} to {values[k + 1]:.6g} at sample {k + 1}"
+                return (
+                    f": '{name}' goes back in {path}, from {values[k]:.6g} to {values[k + 1]:.6g}"
+                    f" at sample {k + 1}"
+                )
             if len(repeated := np.flatnonzero(np.diff(values) == 0)):
                 return f": '{name}' repeats {len(repeated)} of {len(values)} values in {path}"
     return ""
@@ -160,13 +182,16 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN_COLUMNS]) + more
 
 
-# -- time ----------------------------------------------------------------------------------------------------------------
+# -- time ------------------------------------------------------------------------------------------
 def _times(files: Files, asked: str | None) -> list[Candidate]:
     found, even = [], []
     for name in [asked] if asked else files.names:
         h = files.heading(name)
         series = [table[name][np.isfinite(table[name])] for table in files.tables.values()]
-        rises = all(len(x) > 1 and (np.diff(x) >= 0).all() and len(np.unique(x)) > DISTINCT_SHARE * len(x) for x in series)
+        rises = all(
+            len(x) > 1 and (np.diff(x) >= 0).all() and len(np.unique(x)) > DISTINCT_SHARE * len(x)
+            for x in series
+        )
         if not asked and not rises:
             continue
         steps = np.concatenate([np.diff(x) for x in series])
@@ -174,7 +199,8 @@ def _times(files: Files, asked: str | None) -> list[Candidate]:
         candidate = _time(h, files.clock(name), series[0], scatter)
         if asked or files.clock(name) or h.quantity == "time":
             found.append(candidate)
-        elif scatter < EVEN_SCATTER and not ((steps == 1.0).all() and series[0][0] in (0.0, 1.0)):  # no number of the sample
+        # no number of the sample
+        elif scatter < EVEN_SCATTER and not ((steps == 1.0).all() and series[0][0] in (0.0, 1.0)):
             doubt = f"no column is called a time; '{name}' rises evenly"
             even.append(replace(candidate, rank=UNKNOWN_RANK, doubts=(doubt, *candidate.doubts)))
     return found or even
@@ -182,52 +208,74 @@ def _times(files: Files, asked: str | None) -> list[Candidate]:
 
 def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:
     if clock or (h.fits and h.quantity == "time"):
-        return Candidate(Column(column=h.name, unit="s" if clock else str(h.unit)), "time", 0, scatter=scatter)
+        return Candidate(
+            Column(column=h.name, unit="s" if clock else str(h.unit)), "time", 0, scatter=scatter
+        )
     unit = _time_unit(values)
     doubt = f"the unit of time '{h.name}' is not given; {unit} is assumed"
     return Candidate(Column(column=h.name, unit=unit), "time", 1, (doubt,), scatter)
 
 
 def _time_unit(values: Array) -> str:
-    """Return s, or for whole numbers and long intervals the unit in which the sampling period is nearest to the usual one."""
+    """Return s, or for whole numbers and long intervals the unit in which the sampling period is
+    nearest to the usual one.
+    """
     step = float(np.median(np.diff(values)))
     whole = (values == np.round(values)).all()
     if step <= 0.0 or not (whole or step > SLOWEST_PERIOD):
         return "s"
-    return min(("ms", "us", "ns"), key=lambda unit: abs(np.log(step * factor_to(unit, None, "s") / USUAL_PERIOD)))
+    return min(
+        ("ms", "us", "ns"),
+        key=lambda unit: abs(np.log(step * factor_to(unit, None, "s") / USUAL_PERIOD)),
+    )
 
 
-# -- input ---------------------------------------------------------------------------------------------------------------
+# -- input -----------------------------------------------------------------------------------------
 def _inputs(files: Files, asked: str | None) -> list[Candidate]:
     found = []
     for h in files.varying():
         if asked not in (None, h.name) or (
-            asked is None and (h.quantity in ("time", "position", "velocity") or _excluded(h, "output"))
+            asked is None
+            and (h.quantity in ("time", "position", "velocity") or _excluded(h, "output"))
         ):
             continue
         kind = h.quantity if h.quantity in INPUT_UNITS else None
         if kind is None:
             said = f"what '{h.name}' is, is not said; a voltage is assumed"
-            found.append(Candidate(Column(column=h.name, unit="V"), "voltage", _unknown_rank(h), (said,)))
+            found.append(
+                Candidate(Column(column=h.name, unit="V"), "voltage", _unknown_rank(h), (said,))
+            )
         elif candidate := _declared(h, kind, INPUT_UNITS[kind], INPUT_UNITS[kind]):
             found.append(candidate)
     return found
 
 
 def fitted(candidate: Candidate, linear: bool) -> Candidate:
-    """Return an input as the axis needs it: a torque that moves a linear axis becomes a force, and the other way round."""
+    """Return an input as the axis needs it: a torque that moves a linear axis becomes a force, and
+    the other way round.
+    """
     if candidate.kind not in ("torque", "force") or linear == (candidate.kind == "force"):
         return candidate
     kind, lever = ("force", "1 1/m") if linear else ("torque", "1 m")
-    scale = lever if candidate.column.scale is None else f"{candidate.column.scale}{'/m' if linear else '.m'}"
-    doubt = f"'{candidate.column.column}' is a {candidate.kind} and the output {'moves in metres' if linear else 'turns'}: " \
-        f"a lever of 1 m is assumed; write the right one as scale"  # fmt: skip
+    scale = (
+        lever
+        if candidate.column.scale is None
+        else f"{candidate.column.scale}{'/m' if linear else '.m'}"
+    )
+    doubt = (
+        f"'{candidate.column.column}' is a {candidate.kind} and the output"
+        f" {'moves in metres' if linear else 'turns'}: a lever of 1 m is assumed; write the right"
+        " one as scale"
+    )
     return replace(
-        candidate, column=candidate.column.model_copy(update={"scale": scale}), kind=kind, doubts=(*candidate.doubts, doubt)
+        candidate,
+        column=candidate.column.model_copy(update={"scale": scale}),
+        kind=kind,
+        doubts=(*candidate.doubts, doubt),
     )
 
 
-# -- output --------------------------------------------------------------------------------------------------------------
+# -- output ----------------------------------------------------------------------------------------
 def _outputs(files: Files, asked: str | None) -> list[Candidate]:
     found: list[Candidate | None] = []
     for h in files.varying():
@@ -237,7 +285,10 @@ def _outputs(files: Files, asked: str | None) -> list[Candidate]:
         if h.quantity in ("position", "velocity"):
             found.append(_output(files, h, h.quantity))
         else:
-            found += [_output(files, replace(h, quantity=kind), kind, unknown=True) for kind in ("position", "velocity")]
+            found += [
+                _output(files, replace(h, quantity=kind), kind, unknown=True)
+                for kind in ("position", "velocity")
+            ]
     return [each for each in found if each is not None]
 
 
@@ -250,10 +301,22 @@ def _output(files: Files, h: Heading, kind: str, unknown: bool = False) -> Candi
     per = "/s" if kind == "velocity" else ""
     if h.unit == COUNTS or shown == COUNTS:
         doubts = (
-            () if turn else (f"counts a turn of '{h.name}' are not known: {TURN_COUNTS} assumed; write what one count is as scale",)
+            ()
+            if turn
+            else (
+                (
+                    f"counts a turn of '{h.name}' are not known: {TURN_COUNTS} assumed; write what"
+                    " one count is as scale"
+                ),
+            )
         )
         scale = f"{360.0 / (turn or TURN_COUNTS)!r} deg{per}"
-        candidate = Candidate(Column(column=h.name, unit=f"1{per}", scale=scale.replace("/s", "")), kind, RANKS[kind], doubts)
+        candidate = Candidate(
+            Column(column=h.name, unit=f"1{per}", scale=scale.replace("/s", "")),
+            kind,
+            RANKS[kind],
+            doubts,
+        )
     else:
         given = _declared(h, kind, si, shown or si)
         if given is None:
@@ -261,7 +324,9 @@ def _output(files: Files, h: Heading, kind: str, unknown: bool = False) -> Candi
         candidate = given
     if unknown:
         candidate = replace(
-            candidate, rank=_unknown_rank(h), doubts=(f"what '{h.name}' is, is not said; a {kind} is assumed", *candidate.doubts)
+            candidate,
+            rank=_unknown_rank(h),
+            doubts=(f"what '{h.name}' is, is not said; a {kind} is assumed", *candidate.doubts),
         )
     return replace(candidate, rank=candidate.rank + SETPOINT_RANK) if h.setpoint else candidate
 
@@ -272,7 +337,12 @@ def _shown_turn(values: Array, counts: bool) -> tuple[str | None, int | None]:
     jumps = np.abs(np.diff(values))
     wraps = bool((jumps > WRAP_SHARE * span).any())
     whole = bool((values == np.round(values)).all()) and span > COUNTER_STEPS
-    if wraps and not counts and abs(span - 360.0) < 0.02 * 360.0 and not (whole and span < 360.0 - 1.5):
+    if (
+        wraps
+        and not counts
+        and abs(span - 360.0) < 0.02 * 360.0
+        and not (whole and span < 360.0 - 1.5)
+    ):
         return "deg", None
     if not (counts or whole):
         return None, None
@@ -294,21 +364,41 @@ def _unknown_rank(h: Heading) -> int:
     return LETTER_RANK if _letter(h) in ROLE_LETTERS else UNKNOWN_RANK
 
 
-# -- both ----------------------------------------------------------------------------------------------------------------
+# -- both ------------------------------------------------------------------------------------------
 def _declared(h: Heading, kind: str, si: str, default: str) -> Candidate | None:
-    """Return a column with its unit, or with the default one; a unit of another quantity gets a scale of 1, which is a doubt."""
+    """Return a column with its unit, or with the default one; a unit of another quantity gets a
+    scale of 1, which is a doubt.
+    """
     rank = RANKS[kind]
     if h.unit is None:
         return Candidate(
-            Column(column=h.name, unit=default), kind, rank, (f"the unit of '{h.name}' is not given; {default} is assumed",)
+            Column(column=h.name, unit=default),
+            kind,
+            rank,
+            (f"the unit of '{h.name}' is not given; {default} is assumed",),
         )
     if h.fits and h.quantity == kind:
         return Candidate(Column(column=h.name, unit=h.unit), kind, rank)
     unit = "1" if h.unit == COUNTS else h.unit
-    scale = f"1 {si}" if unit in ("1", "%") else f"1 {si.replace('/', '/(')}.{unit})" if "/" in si else f"1 {si}/{unit}"
-    worth = f"100 % of '{h.name}' are taken as 1 {si}" if unit == "%" else f"1 {h.unit} of '{h.name}' is taken as 1 {si}"
+    scale = (
+        f"1 {si}"
+        if unit in ("1", "%")
+        else f"1 {si.replace('/', '/(')}.{unit})"
+        if "/" in si
+        else f"1 {si}/{unit}"
+    )
+    worth = (
+        f"100 % of '{h.name}' are taken as 1 {si}"
+        if unit == "%"
+        else f"1 {h.unit} of '{h.name}' is taken as 1 {si}"
+    )
     try:
         factor_to(unit, scale, si)
     except BristleError:
         return None
-    return Candidate(Column(column=h.name, unit=unit, scale=scale), kind, rank, (f"{worth}; write the right value as scale",))
+    return Candidate(
+        Column(column=h.name, unit=unit, scale=scale),
+        kind,
+        rank,
+        (f"{worth}; write the right value as scale",),
+    )

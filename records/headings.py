@@ -9,32 +9,74 @@ from itertools import chain
 from bristle.common.unit_names import COUNTS, unit_symbol
 from bristle.common.units import parse_unit
 
-_QUANTITY_WORDS = {  # of each quantity, in English and German; a compound such as Istwinkel ends with one, or begins with it
-    "time": "t time zeit timestamp timestamps stamp zeitstempel uhrzeit datetime datum clock seconds sekunden elapsed x-axis",
+# of each quantity, in English and German; a compound such as Istwinkel ends with one, or begins
+# with it
+_QUANTITY_WORDS = {
+    "time": (
+        "t time zeit timestamp timestamps stamp zeitstempel uhrzeit datetime datum clock seconds"
+        " sekunden elapsed x-axis"
+    ),
     "torque": "torque moment drehmoment tau effort trq",
     "force": "force kraft f",
     "voltage": "voltage spannung volt volts vin uin pwm duty",
     "current": "current strom iq amps i",
-    "position": "position pos angle winkel theta phi encoder enc lage weg displacement rotation drehwinkel stellung q",
+    "position": (
+        "position pos angle winkel theta phi encoder enc lage weg displacement rotation drehwinkel"
+        " stellung q"
+    ),
     "velocity": "velocity speed geschwindigkeit drehzahl omega vel w dtheta qd",
 }
-QUANTITIES = {word: quantity for quantity, words in _QUANTITY_WORDS.items() for word in words.split()}
+QUANTITIES = {
+    word: quantity for quantity, words in _QUANTITY_WORDS.items() for word in words.split()
+}
 UNITS = {  # SI unit of each quantity, that of a linear axis second
-    "time": ("s",), "torque": ("N.m",), "force": ("N",), "voltage": ("V",), "current": ("A",), "position": ("rad", "m"),
+    "time": ("s",),
+    "torque": ("N.m",),
+    "force": ("N",),
+    "voltage": ("V",),
+    "current": ("A",),
+    "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
-}  # fmt: skip
+}
 SETPOINTS = {
-    "soll", "sollwert", "ref", "reference", "set", "setpoint", "cmd", "command", "commanded", "target", "goal", "desired",
-    "des", "demand", "req",
-}  # fmt: skip
+    "soll",
+    "sollwert",
+    "ref",
+    "reference",
+    "set",
+    "setpoint",
+    "cmd",
+    "command",
+    "commanded",
+    "target",
+    "goal",
+    "desired",
+    "des",
+    "demand",
+    "req",
+}
 UNWANTED = {
-    "error", "err", "fehler", "abweichung", "temp", "temperature", "temperatur", "status", "state", "index", "sample", "nr",
-    "id", "seq",
-}  # fmt: skip
+    "error",
+    "err",
+    "fehler",
+    "abweichung",
+    "temp",
+    "temperature",
+    "temperatur",
+    "status",
+    "state",
+    "index",
+    "sample",
+    "nr",
+    "id",
+    "seq",
+}
 TURNS_A_MINUTE = ("drehzahl", "rpm")  # words that are a unit, too
 COMPOUND_LETTERS = 4  # least length of a word that is recognised within a compound
 _BRACKETS = re.compile(r"^(?P<label>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
-_BEHIND = re.compile(r"^(?P<label>.+?)(?:\s*/\s+|\s+in\s+|\s+/|[_ ])(?P<unit>[^\s_]+(?:_per_\w+)?)$")
+_BEHIND = re.compile(
+    r"^(?P<label>.+?)(?:\s*/\s+|\s+in\s+|\s+/|[_ ])(?P<unit>[^\s_]+(?:_per_\w+)?)$"
+)
 
 
 @dataclass(frozen=True)
@@ -46,13 +88,15 @@ class Heading:
     name : str
         As in the file.
     unit : str or None
-        As `parse_unit` reads it, `COUNTS` for steps of an encoder; None if it is not given or not known.
+        As `parse_unit` reads it, `COUNTS` for steps of an encoder; None if it is not given or not
+        known.
     quantity : str or None
         A key of `UNITS`; None if neither name nor unit says.
     named : bool
         Whether the name says which quantity it is, and not the unit alone.
     setpoint, unwanted : bool
-        Whether it is what was asked for and not measured; whether it is neither input nor output of a servo.
+        Whether it is what was asked for and not measured; whether it is neither input nor output of
+        a servo.
     """
 
     name: str
@@ -65,7 +109,11 @@ class Heading:
     @property
     def fits(self) -> bool:
         """Whether the unit is one of the quantity."""
-        return self.unit is not None and self.quantity is not None and self.quantity == quantity_of(self.unit)
+        return (
+            self.unit is not None
+            and self.quantity is not None
+            and self.quantity == quantity_of(self.unit)
+        )
 
 
 def heading(name: str, unit: str | None = None) -> Heading:
@@ -75,15 +123,28 @@ def heading(name: str, unit: str | None = None) -> Heading:
         label, symbol = _unit_in(name)
     words = _words(label)
     joined = "".join(words)  # i_q is one name
-    found = [quantity for word in ([joined] if joined in QUANTITIES else words) if (quantity := _quantity(word))]
-    # the last word decides, "motor current"; a unit decides where a name says two things, "position speed"
+    found = [
+        quantity
+        for word in ([joined] if joined in QUANTITIES else words)
+        if (quantity := _quantity(word))
+    ]
+    # the last word decides, "motor current"; a unit decides where a name says two things, "position
+    # speed"
     named = found[-1] if found else None
     by_unit = None if symbol is None else quantity_of(symbol)
-    quantity = by_unit if by_unit and (named is None or by_unit in found or len(label) == 1) else named
-    if symbol is None and quantity == "velocity" and any(word.endswith(TURNS_A_MINUTE) for word in words):
+    quantity = (
+        by_unit if by_unit and (named is None or by_unit in found or len(label) == 1) else named
+    )
+    if (
+        symbol is None
+        and quantity == "velocity"
+        and any(word.endswith(TURNS_A_MINUTE) for word in words)
+    ):
         symbol = "rpm"
     setpoint = any(word in SETPOINTS or word.startswith("soll") for word in words)
-    return Heading(name, symbol, quantity, named is not None, setpoint, any(_unwanted(word) for word in words))
+    return Heading(
+        name, symbol, quantity, named is not None, setpoint, any(_unwanted(word) for word in words)
+    )
 
 
 def without_unit(name: str) -> str:
@@ -97,17 +158,27 @@ def quantity_of(unit: str) -> str | None:
     if unit == COUNTS:
         return None
     exponents = parse_unit(unit).exponents
-    return next((name for name, units in UNITS.items() if exponents in [parse_unit(each).exponents for each in units]), None)
+    return next(
+        (
+            name
+            for name, units in UNITS.items()
+            if exponents in [parse_unit(each).exponents for each in units]
+        ),
+        None,
+    )
 
 
 def _unit_in(name: str) -> tuple[str, str | None]:
-    """Return the name without the unit that it ends with, and the unit: ``t [ms]``, ``speed / rpm``, ``angle_deg``."""
+    """Return the name without the unit that it ends with, and the unit: ``t [ms]``, ``speed /
+    rpm``, ``angle_deg``.
+    """
     if (match := _BRACKETS.match(name)) and match["label"]:
         return match["label"], unit_symbol(match["unit"])
     if match := _BEHIND.match(name):
         symbol = unit_symbol(match["unit"].replace("_per_", "/"))
         named = {quantity for word in _words(match["label"]) if (quantity := _quantity(word))}
-        # a single letter may be the name of a phase or channel, unless it is a unit of what the name says
+        # a single letter may be the name of a phase or channel, unless it is a unit of what the
+        # name says
         if symbol is not None and (symbol == COUNTS or quantity_of(symbol) in named):
             return match["label"], symbol
     symbol = unit_symbol(name) if len(name) > 1 else None
@@ -115,20 +186,26 @@ def _unit_in(name: str) -> tuple[str, str | None]:
 
 
 def _words(label: str) -> list[str]:
-    """Return the words of a name in lower case: motorCurrent, motor_current and ``motor current 1`` are alike."""
+    """Return the words of a name in lower case: motorCurrent, motor_current and ``motor current 1``
+    are alike.
+    """
     spaced = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", label)
     return [word.lower() for word in re.findall(r"[^\W\d_]+(?:-[^\W\d_]+)?", spaced)]
 
 
 def _unwanted(word: str) -> bool:
-    return word in UNWANTED or any(word.endswith(known) for known in UNWANTED if len(known) >= COMPOUND_LETTERS)
+    return word in UNWANTED or any(
+        word.endswith(known) for known in UNWANTED if len(known) >= COMPOUND_LETTERS
+    )
 
 
 def _quantity(word: str) -> str | None:
     """Return the quantity that a word names."""
     if word in QUANTITIES:
         return QUANTITIES[word]
-    long = sorted((known for known in QUANTITIES if len(known) >= COMPOUND_LETTERS), key=len, reverse=True)
+    long = sorted(
+        (known for known in QUANTITIES if len(known) >= COMPOUND_LETTERS), key=len, reverse=True
+    )
     ends = (known for known in long if word.endswith(known))
     begins = (known for known in long if word.startswith(known))
     return next((QUANTITIES[known] for known in chain(ends, begins)), None)

@@ -8,5 +8,7 @@ from bristle.common.table import Array
 
 
 def mixed(u: Array, share: float) -> Array:
-    """Return an input, shape (n,), as the mean of each sample and the next one, which has this share; the last sample stays."""
+    """Return an input, shape (n,), as the mean of each sample and the next one, which has this
+    share; the last sample stays.
+    """
     return np.append((1 - share) * u[:-1] + share * u[1:], u[-1])

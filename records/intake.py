@@ -1,4 +1,6 @@
-"""Read measured files, convert them to SI, find what is wrong with them, repair and report it or refuse the record."""
+"""Read measured files, convert them to SI, find what is wrong with them, repair and report it or
+refuse the record.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,28 @@ from bristle.records.differences import summed
 from bristle.records.layout import Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.resolution import common_step
-from bristle.records.sensor import MOTIONLESS_STEPS, compare_resolution, must_move, repaired, report_steps
+from bristle.records.sensor import (
+    MOTIONLESS_STEPS,
+    compare_resolution,
+    must_move,
+    repaired,
+    report_steps,
+)
 
-SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
+# SI: no rig gives a smaller or larger value, and the square of one is not finite
+SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30
 BRIDGED_SAMPLES = 5  # samples: most that are not finite in a row and are interpolated over
 BRIDGED_SHARE = 0.02  # of the samples: most that are not finite and are interpolated over
 WRAP_SHARE = 0.5  # of the range: a larger change across samples that are not finite is a wrap
-GAP_INTERVALS = 3.5  # sampling intervals: a longer interval is a gap, a shorter one is interpolated over
-COPY_TOLERANCE = 1e-6  # of its range: columns that differ by less are the same, written with more or fewer digits
+# sampling intervals: a longer interval is a gap, a shorter one is interpolated over
+GAP_INTERVALS = 3.5
+# of its range: columns that differ by less are the same, written with more or fewer digits
+COPY_TOLERANCE = 1e-6
 CONSTANT_TOLERANCE = 1e-9  # of its largest value: an input that varies by less is constant
-LATE_START = 10.0  # s: a time that starts later is counted from the first sample of the first record
-EPOCH_START = 1e6  # s: a time that starts later still is counted from 1970, not on the clock of the records before
+# s: a time that starts later is counted from the first sample of the first record
+LATE_START = 10.0
+# s: a time that starts later still is counted from 1970, not on the clock of the records before
+EPOCH_START = 1e6
 
 
 @dataclass(frozen=True)
@@ -38,13 +51,14 @@ class Requirements:
     Attributes
     ----------
     samples, duration : int, float
-        Least number of samples and least duration [s] of a record, or of a piece of it between gaps.
+        Least number of samples and least duration [s] of a record, or of a piece of it between
+        gaps.
     shortest_period, longest_period : float
         Range of the sampling period [s].
     identification : bool
-        Whether the record is to identify a servo: its output must move and the input of one record at least, spikes and wraps
-        of the sensor are repaired, a late start of the time is subtracted, a gap cuts the record. Else the samples stay as
-        recorded, and a gap is refused.
+        Whether the record is to identify a servo: its output must move and the input of one record
+        at least, spikes and wraps of the sensor are repaired, a late start of the time is
+        subtracted, a gap cuts the record. Else the samples stay as recorded, and a gap is refused.
     """
 
     samples: int = 10
@@ -65,7 +79,8 @@ def read_record(layout: Layout, path: Path | str) -> Record:
     layout : Layout
         Names the columns and their units.
     path : path
-        A file of a format that `bristle.common.table.READERS` lists: text, MAT, HDF5, NPZ, Parquet or XLSX.
+        A file of a format that `bristle.common.table.READERS` lists: text, MAT, HDF5, NPZ, Parquet
+        or XLSX.
 
     Returns
     -------
@@ -81,8 +96,11 @@ def read_record(layout: Layout, path: Path | str) -> Record:
     return record
 
 
-def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED) -> list[Record]:
-    """Read measured files, check and repair them; return at least one record for each, all with the same sampling period.
+def read_records(
+    layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED
+) -> list[Record]:
+    """Read measured files, check and repair them; return at least one record for each, all with the
+    same sampling period.
 
     Parameters
     ----------
@@ -106,29 +124,47 @@ def distinct_files(paths: Path | str | Sequence[Path | str]) -> list[Path]:
     real = [os.path.realpath(path) for path in listed]  # unlike `resolve`, of a loop of links too
     for k, path in enumerate(real):
         if path in real[:k]:
-            raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
+            raise BristleError(
+                f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out"
+            )
     return listed
 
 
 def records_of_tables(
-    layout: Layout, tables: Iterable[tuple[Path, Columns]], paths: Sequence[Path], needs: Requirements
+    layout: Layout,
+    tables: Iterable[tuple[Path, Columns]],
+    paths: Sequence[Path],
+    needs: Requirements,
 ) -> list[Record]:
-    """Return the records of files that are read already, as `read_records` does; `tables` gives path and columns of each."""
+    """Return the records of files that are read already, as `read_records` does; `tables` gives
+    path and columns of each.
+    """
     names = _names(paths)
-    return _records(layout, [_raw(layout, path, name, columns) for (path, columns), name in zip(tables, names, strict=True)], needs)
+    return _records(
+        layout,
+        [
+            _raw(layout, path, name, columns)
+            for (path, columns), name in zip(tables, names, strict=True)
+        ],
+        needs,
+    )
 
 
 def records_from_arrays(
-    layout: Layout, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]], needs: Requirements = AS_RECORDED
+    layout: Layout,
+    arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]],
+    needs: Requirements = AS_RECORDED,
 ) -> list[Record]:
-    """Check and repair records in memory; return at least one for each entry, all with the same sampling period.
+    """Check and repair records in memory; return at least one for each entry, all with the same
+    sampling period.
 
     Parameters
     ----------
     layout : Layout
         What the arrays are; its column names and units are not used.
     arrays : iterable of (name, time, u, y)
-        Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`, or velocities if it says `differences`.
+        Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`, or
+        velocities if it says `differences`.
     needs : Requirements
         What the records must have; `BristleError` says what one lacks.
     """
@@ -157,7 +193,10 @@ def must_show(layout: Layout, records: Sequence[Record], needs: Requirements) ->
 
 def _must_be_layout(layout: object) -> None:
     if not isinstance(layout, Layout):
-        raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
+        raise BristleError(
+            f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model"
+            " returns"
+        )
 
 
 def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
@@ -172,13 +211,23 @@ def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return the stem of each file, with as many of the folders before it as tell it from the others."""
-    return [_name(path, [other for k, other in enumerate(paths) if k != number]) for number, path in enumerate(paths)]
+    """Return the stem of each file, with as many of the folders before it as tell it from the
+    others.
+    """
+    return [
+        _name(path, [other for k, other in enumerate(paths) if k != number])
+        for number, path in enumerate(paths)
+    ]
 
 
 def _name(path: Path, others: Sequence[Path]) -> str:
-    """Return the shortest end of a path, without its suffix, that no other path has; with the suffix if all of it is alike."""
-    parts, alike = path.absolute().parts, [other.absolute().parts for other in others if other.stem == path.stem]
+    """Return the shortest end of a path, without its suffix, that no other path has; with the
+    suffix if all of it is alike.
+    """
+    parts, alike = (
+        path.absolute().parts,
+        [other.absolute().parts for other in others if other.stem == path.stem],
+    )
     for depth in range(1, len(parts)):
         alike = [other for other in alike if other[-depth:-1] == parts[-depth:-1]]
         if not alike:
@@ -195,7 +244,7 @@ def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
         yield Raw(name, name, *vectors(name, *columns))
 
 
-# -- records together ----------------------------------------------------------------------------------------------------
+# -- records together ------------------------------------------------------------------------------
 def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[Record]:
     """Check and repair records, and bring them to one sampling period."""
     records: list[Record] = []
@@ -203,12 +252,17 @@ def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[R
     origin: float | None = None
     for raw in raws:
         if raw.where in before:
-            raise BristleError(f"record {raw.where}: two records have this name; give each its own, by which reports call it")
+            raise BristleError(
+                f"record {raw.where}: two records have this name; give each its own, by which"
+                " reports call it"
+            )
         _cut_ends(raw)
         _must_be_possible(layout, raw)
         for other, columns in before.items():
             if all(map(_same, raw.columns, columns)):
-                raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
+                raise raw.error(
+                    f"is the same as {other}; a copy is no second measurement: leave it out"
+                )
         before[raw.where] = raw.columns
         if needs.identification:
             origin = _count_from_first(raw, origin)
@@ -223,7 +277,9 @@ def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[R
 
 
 def _count_from_first(raw: Raw, origin: float | None) -> float:
-    """Count a time that starts late from the first sample of the first such record; return that sample's time, or 0."""
+    """Count a time that starts late from the first sample of the first such record; return that
+    sample's time, or 0.
+    """
     begin = float(raw.time[0])
     if origin is None or (not origin and abs(begin) > EPOCH_START):
         origin = begin if abs(begin) > LATE_START else 0.0
@@ -234,8 +290,12 @@ def _count_from_first(raw: Raw, origin: float | None) -> float:
 
 
 def _same(one: Array, other: Array) -> bool:
-    """True if two columns differ by no more than the digits with which files of different formats hold them."""
-    return len(one) == len(other) and bool(np.max(np.abs(one - other)) <= COPY_TOLERANCE * np.ptp(one))
+    """True if two columns differ by no more than the digits with which files of different formats
+    hold them.
+    """
+    return len(one) == len(other) and bool(
+        np.max(np.abs(one - other)) <= COPY_TOLERANCE * np.ptp(one)
+    )
 
 
 def _constant(u: Array) -> bool:
@@ -245,17 +305,22 @@ def _constant(u: Array) -> bool:
 def _must_be_driven(layout: Layout, records: Sequence[Record], where: str) -> None:
     if all(_constant(record.u) for record in records):
         seen = f"input is constant ({records[0].u[0]:g} {layout.input_unit}) in every record"
-        raise BristleError(f"record {where}: {seen}; check [input] column, and give a record in which it varies")
+        raise BristleError(
+            f"record {where}: {seen}; check [input] column, and give a record in which it varies"
+        )
 
 
 def _report_constant_input(layout: Layout, record: Record) -> Record:
     if not _constant(record.u):
         return record
-    line = f"input is constant ({record.u[0]:g} {layout.input_unit}): the record shows friction, but hardly inertia"
+    line = (
+        f"input is constant ({record.u[0]:g} {layout.input_unit}): the record shows friction, but"
+        " hardly inertia"
+    )
     return replace(record, findings=(*record.findings, f"record {record.name}: {line}"))
 
 
-# -- one record ----------------------------------------------------------------------------------------------------------
+# -- one record ------------------------------------------------------------------------------------
 def _cut_ends(raw: Raw) -> None:
     """Leave out samples that are not finite at the ends; interpolate a few between, refuse more."""
     table = np.column_stack(raw.columns)
@@ -267,14 +332,19 @@ def _cut_ends(raw: Raw) -> None:
         raise raw.error("no sample is finite in all columns; check the columns")
     first, last = int(good[0]), int(good[-1])
     if first or last < len(whole) - 1:
-        raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
+        raw.say(
+            f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite;"
+            " left out"
+        )
     raw.keep(slice(first, last + 1))
     if not whole[first : last + 1].all():
         _bridge(raw)
 
 
 def _bridge(raw: Raw) -> None:
-    """Interpolate over a few samples that are not finite between others; refuse many, or many in a row."""
+    """Interpolate over a few samples that are not finite between others; refuse many, or many in a
+    row.
+    """
     for key, values in zip(COLUMN_NAMES, raw.columns, strict=False):
         bad = ~np.isfinite(values)
         if not bad.any():
@@ -282,7 +352,8 @@ def _bridge(raw: Raw) -> None:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]))).reshape(-1, 2)
         longest, count = int(np.max(edges[:, 1] - edges[:, 0])), int(np.sum(bad))
         where = (
-            f"{key} is not finite at {count} of {len(values)} samples (first at sample {edges[0, 0]}, at most {longest} in a row)"
+            f"{key} is not finite at {count} of {len(values)} samples (first at sample"
+            f" {edges[0, 0]}, at most {longest} in a row)"
         )
         if longest > BRIDGED_SAMPLES or count > BRIDGED_SHARE * len(values):
             allowed = f"{BRIDGED_SAMPLES} in a row and {BRIDGED_SHARE:.0%} in all are interpolated"
@@ -292,7 +363,9 @@ def _bridge(raw: Raw) -> None:
 
 
 def _between(values: Array, good: NDArray[np.bool_], bad: NDArray[np.bool_]) -> Array:
-    """Return what lies between the good samples, in steps of the sensor; over a wrap, the sample before."""
+    """Return what lies between the good samples, in steps of the sensor; over a wrap, the sample
+    before.
+    """
     at, known, where = np.flatnonzero(good), values[good], np.flatnonzero(bad)
     found = np.interp(where, at, known)
     before = np.searchsorted(at, where) - 1
@@ -314,14 +387,20 @@ def _must_be_possible(layout: Layout, raw: Raw) -> None:
 
 def _too_short(raw: Raw, needs: Requirements) -> BristleError:
     length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s"
-    return raw.error(f"{length}; at least {needs.duration:g} s are needed: record longer, or correct [time] unit")
+    return raw.error(
+        f"{length}; at least {needs.duration:g} s are needed: record longer, or correct [time] unit"
+    )
 
 
 def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
-    """Return the pieces of a record between its gaps, usually one, with the findings of the whole in the first."""
+    """Return the pieces of a record between its gaps, usually one, with the findings of the whole
+    in the first.
+    """
     increasing(raw)
     if len(raw.time) < needs.samples:
-        raise raw.error(f"{len(raw.time)} samples; at least {needs.samples} are needed: record longer")
+        raise raw.error(
+            f"{len(raw.time)} samples; at least {needs.samples} are needed: record longer"
+        )
     h = period_of(raw, needs.shortest_period, needs.longest_period)
     if layout.differences:
         raw.y = summed(raw.y, h)
@@ -334,23 +413,32 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
     records, dropped = [], []
     for number, (start, end) in enumerate(runs, start=1):
         which = "" if len(runs) == 1 else f"[{number}]"
-        piece = Raw(raw.name + which, raw.where + which, *(column[start:end] for column in raw.columns))
+        piece = Raw(
+            raw.name + which, raw.where + which, *(column[start:end] for column in raw.columns)
+        )
         if why := _unusable(piece, resolution, needs):
             dropped.append((piece.name, why))
             continue
         time, period, uneven = clock(piece)
         facts = (tuple(piece.lines), resolution, wrapped, uneven)
-        records.append(Record(piece.name, time, period, piece.u, piece.y, *facts, velocity=piece.velocity))
+        records.append(
+            Record(piece.name, time, period, piece.u, piece.y, *facts, velocity=piece.velocity)
+        )
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
-        seen = f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
+        seen = (
+            f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
+        )
         raw.say(f"gaps in time: {len(runs) - 1} ({seen}); cut there into {len(runs)} pieces")
     for name, why in dropped:
         raw.say(f"piece {name} left out: {why}")
     if not records:
         if len(runs) == 1:
             raise _too_short(raw, needs)
-        raise raw.error(f"no piece between gaps lasts {needs.duration:g} s with {needs.samples} samples; record without gaps")
+        raise raw.error(
+            f"no piece between gaps lasts {needs.duration:g} s with {needs.samples} samples; record"
+            " without gaps"
+        )
     records[0] = replace(records[0], findings=(*raw.lines, *records[0].findings))
     return records
 
@@ -365,7 +453,11 @@ def _unusable(piece: Raw, resolution: float | None, needs: Requirements) -> str:
 
 
 def _gap(raw: Raw, border: int, h: float) -> BristleError:
-    gap = f"a gap of {raw.time[border] - raw.time[border - 1]:.3g} s after sample {border - 1} ({raw.time[border - 1]:.6g} s)"
+    gap = (
+        f"a gap of {raw.time[border] - raw.time[border - 1]:.3g} s after sample {border - 1}"
+        f" ({raw.time[border - 1]:.6g} s)"
+    )
     return raw.error(
-        f"{gap}, allowed {GAP_INTERVALS:g} sampling intervals of {h:.4g} s; cut the record there, into files of their own"
+        f"{gap}, allowed {GAP_INTERVALS:g} sampling intervals of {h:.4g} s; cut the record there,"
+        " into files of their own"
     )

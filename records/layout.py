@@ -1,4 +1,6 @@
-"""The columns of a measured file: names, units, scale, kind and resolution, written alike in model files and in scenarios."""
+"""The columns of a measured file: names, units, scale, kind and resolution, written alike in model
+files and in scenarios.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,11 @@ from bristle.common.table import factor_to
 from bristle.common.toml import Section, mistake, quoted
 from bristle.common.units import quantity
 
-INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}  # SI unit of each kind of input
+# SI unit of each kind of input
+INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
 
 
-# -- what a file may hold ----------------------------------------------------------------------------------------------
+# -- what a file may hold --------------------------------------------------------------------------
 class Column(Section):
     """A column of the file and its unit."""
 
@@ -30,7 +33,9 @@ class InputTable(Column):
     """The column of the input."""
 
     kind: Literal["torque", "force", "voltage", "current"]
-    """What the input is: `torque` and `force` fit an output that turns and one that moves, the others either."""
+    """What the input is: `torque` and `force` fit an output that turns and one that moves, the
+    others either.
+    """
 
 
 class OutputTable(Column):
@@ -41,7 +46,9 @@ class OutputTable(Column):
     resolution: str | float | None = None
     """Smallest step of the output, in the column's unit or with a unit."""
     differences: bool = False
-    """Whether a velocity is the difference of two readings of a position over a sampling period; it is summed to that."""
+    """Whether a velocity is the difference of two readings of a position over a sampling period; it
+    is summed to that.
+    """
 
 
 class LayoutTable(Section):
@@ -55,7 +62,7 @@ class LayoutTable(Section):
     """Column of the output."""
 
 
-# -- the layout --------------------------------------------------------------------------------------------------------
+# -- the layout ------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Layout:
     """The columns of a record and what they are.
@@ -100,35 +107,64 @@ class Layout:
 
     @property
     def columns(self) -> dict[str, tuple[Column, str]]:
-        """Column and SI unit of time, input, output and, where it was recorded besides the output, velocity."""
+        """Column and SI unit of time, input, output and, where it was recorded besides the output,
+        velocity.
+        """
         read = _output_unit("velocity" if self.differences else self.output_kind, self.linear)
-        found = {"time": (self.time, "s"), "input": (self.input, self.input_unit), "output": (self.output, read)}
-        return found if self.velocity is None else {**found, "velocity": (self.velocity, _output_unit("velocity", self.linear))}
+        found = {
+            "time": (self.time, "s"),
+            "input": (self.input, self.input_unit),
+            "output": (self.output, read),
+        }
+        return (
+            found
+            if self.velocity is None
+            else {**found, "velocity": (self.velocity, _output_unit("velocity", self.linear))}
+        )
 
 
 def _output_unit(kind: str, linear: bool) -> str:
     return ("m" if linear else "rad") + ("/s" if kind == "velocity" else "")
 
 
-def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity: Column | None = None) -> Layout:
-    """Return the layout that the tables of a file describe; `velocity` is that of a velocity besides the position.
+def layout_of(
+    table: LayoutTable, where: Path | str, prefix: str = "", velocity: Column | None = None
+) -> Layout:
+    """Return the layout that the tables of a file describe; `velocity` is that of a velocity
+    besides the position.
 
-    An error is one line that begins with the file, `where`; `prefix` precedes the names of the tables in it ("record.").
+    An error is one line that begins with the file, `where`; `prefix` precedes the names of the
+    tables in it ("record.").
     """
     linear, differences = _is_linear(table, where, prefix), table.output.differences
     if differences and table.output.kind == "position":
-        raise mistake(where, f"{prefix}output.differences", True, 'only a velocity is one of readings; write kind = "velocity"')
+        raise mistake(
+            where,
+            f"{prefix}output.differences",
+            True,
+            'only a velocity is one of readings; write kind = "velocity"',
+        )
     if differences and table.output.resolution is not None:
         said = "the step of the position follows from the velocities; leave it out"
         raise mistake(where, f"{prefix}output.resolution", table.output.resolution, said)
     layout = Layout(
-        time=_column(table.time), input=_column(table.input), input_kind=table.input.kind,
-        output=_column(table.output), output_kind="position" if differences else table.output.kind, linear=linear,
+        time=_column(table.time),
+        input=_column(table.input),
+        input_kind=table.input.kind,
+        output=_column(table.output),
+        output_kind="position" if differences else table.output.kind,
+        linear=linear,
         resolution=_resolution(table.output, where, prefix, linear),
-        velocity=None if velocity is None else _column(velocity), differences=differences,
-    )  # fmt: skip
+        velocity=None if velocity is None else _column(velocity),
+        differences=differences,
+    )
     if velocity is not None and table.output.kind == "velocity":
-        raise mistake(where, f"{prefix}output.kind", "velocity", f"[{prefix}velocity] is given as well; remove one of them")
+        raise mistake(
+            where,
+            f"{prefix}output.kind",
+            "velocity",
+            f"[{prefix}velocity] is given as well; remove one of them",
+        )
     roles: dict[str, str] = {}
     for key, (column, unit) in layout.columns.items():
         try:
@@ -136,7 +172,10 @@ def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity:
         except BristleError as error:
             raise mistake(where, f"{prefix}{key}.unit", column.unit, str(error)) from None
         if column.column in roles:
-            message = f"is the column of [{prefix}{roles[column.column]}] already; name the one that holds the {key}"
+            message = (
+                f"is the column of [{prefix}{roles[column.column]}] already; name the one that"
+                f" holds the {key}"
+            )
             raise mistake(where, f"{prefix}{key}.column", column.column, message)
         roles[column.column] = key
     return layout
@@ -148,7 +187,9 @@ def _column(table: Column) -> Column:
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
-    """Return whether the output is that of a linear axis, which a torque cannot drive and a force must."""
+    """Return whether the output is that of a linear axis, which a torque cannot drive and a force
+    must.
+    """
     out, fits, why = table.output, [], ""
     for linear in (False, True):
         try:
@@ -158,8 +199,12 @@ def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
             why = why or str(error)
     if not fits:
         speed = "/s" if out.kind == "velocity" else ""
-        hint = why if "does not fit" not in why else f"does not fit kind '{out.kind}'; write rad{speed}, deg{speed}, m{speed} or " \
-            f"mm{speed}, or add scale = \"... rad{speed}\" over that unit"  # fmt: skip
+        hint = (
+            why
+            if "does not fit" not in why
+            else f"does not fit kind '{out.kind}'; write rad{speed}, deg{speed}, m{speed} or "
+            f'mm{speed}, or add scale = "... rad{speed}" over that unit'
+        )
         raise mistake(where, f"{prefix}output.unit", out.unit, hint)
     linear = fits[0]
     if table.input.kind == ("torque" if linear else "force"):
@@ -177,15 +222,21 @@ def _resolution(out: OutputTable, where: Path | str, prefix: str, linear: bool) 
     want, key = _output_unit(out.kind, linear), f"{prefix}output.resolution"
     try:
         text = isinstance(out.resolution, str)
-        value = quantity(out.resolution, want) if text else float(out.resolution) * abs(factor_to(out.unit, out.scale, want))
+        value = (
+            quantity(out.resolution, want)
+            if text
+            else float(out.resolution) * abs(factor_to(out.unit, out.scale, want))
+        )
     except BristleError as error:
         raise mistake(where, key, out.resolution, str(error)) from None
     if not 0.0 < value < float("inf"):
-        raise mistake(where, key, out.resolution, "must be above 0; leave it out if it is not known")
+        raise mistake(
+            where, key, out.resolution, "must be above 0; leave it out if it is not known"
+        )
     return value
 
 
-# -- and back ----------------------------------------------------------------------------------------------------------
+# -- and back --------------------------------------------------------------------------------------
 def layout_lines(layout: Layout) -> list[str]:
     """Return the lines of a TOML file that read back as this layout."""
     lines = ["[time]", *_column_lines(layout.time)]
@@ -196,7 +247,11 @@ def layout_lines(layout: Layout) -> list[str]:
         lines.append("differences = true")
     if layout.resolution is not None and not layout.differences:
         lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
-    return lines if layout.velocity is None else [*lines, "", "[velocity]", *_column_lines(layout.velocity)]
+    return (
+        lines
+        if layout.velocity is None
+        else [*lines, "", "[velocity]", *_column_lines(layout.velocity)]
+    )
 
 
 def _column_lines(column: Column) -> list[str]:

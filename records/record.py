@@ -22,7 +22,8 @@ class Record:
     name : str
         Name of the file; pieces of one are name[1], name[2].
     time : ndarray, shape (n,)
-        Time [s], uniform; it does not begin with 0, so that records of one measurement keep their order in time.
+        Time [s], uniform; it does not begin with 0, so that records of one measurement keep their
+        order in time.
     h : float
         Sampling period [s], the same for all records that were loaded together.
     u : ndarray, shape (n,)
@@ -45,7 +46,8 @@ class Record:
     Raises
     ------
     BristleError
-        If time, u and y are no vectors of finite numbers, of one length, h is not above 0, or another field of another kind.
+        If time, u and y are no vectors of finite numbers, of one length, h is not above 0, or
+        another field of another kind.
     """
 
     name: str
@@ -62,19 +64,36 @@ class Record:
 
     def __post_init__(self) -> None:
         columns = vectors(self.name, self.time, self.u, self.y, self.velocity)
-        for key, name, column in zip(("time", "u", "y", "velocity"), COLUMN_NAMES, columns, strict=False):
+        for key, name, column in zip(
+            ("time", "u", "y", "velocity"), COLUMN_NAMES, columns, strict=False
+        ):
             if not np.isfinite(column).all():
                 k = int(np.argmin(np.isfinite(column)))
-                raise BristleError(f"record {self.name}: {name} is not finite at sample {k}; repair it or cut the record")
+                raise BristleError(
+                    f"record {self.name}: {name} is not finite at sample {k}; repair it or cut the"
+                    " record"
+                )
             object.__setattr__(self, key, column)
         h: object = self.h
         if not isinstance(h, int | float | np.number) or not 0.0 < float(h) < np.inf:
-            raise BristleError(f"record {self.name}: h is {h}; give the sampling period in s, above 0")
-        for key, value, most in (("resolution", self.resolution or 0.0, np.inf), ("ahead", self.ahead, 1.0)):
+            raise BristleError(
+                f"record {self.name}: h is {h}; give the sampling period in s, above 0"
+            )
+        for key, value, most in (
+            ("resolution", self.resolution or 0.0, np.inf),
+            ("ahead", self.ahead, 1.0),
+        ):
             if not isinstance(value, int | float | np.number) or not 0.0 <= float(value) < most:
-                raise BristleError(f"record {self.name}: {key} is {value}; give a number of at least 0 and below {most:g}")
-        if not isinstance(self.findings, tuple) or not all(isinstance(line, str) for line in self.findings):
-            raise BristleError(f"record {self.name}: findings are {self.findings!r}; give a tuple of texts")
+                raise BristleError(
+                    f"record {self.name}: {key} is {value}; give a number of at least 0 and below"
+                    f" {most:g}"
+                )
+        if not isinstance(self.findings, tuple) or not all(
+            isinstance(line, str) for line in self.findings
+        ):
+            raise BristleError(
+                f"record {self.name}: findings are {self.findings!r}; give a tuple of texts"
+            )
 
     def __len__(self) -> int:
         return len(self.time)
@@ -82,7 +101,9 @@ class Record:
 
 @dataclass
 class Raw:
-    """A record in SI before it is checked; `where` is the path or name that errors begin with, `lines` are the findings."""
+    """A record in SI before it is checked; `where` is the path or name that errors begin with,
+    `lines` are the findings.
+    """
 
     name: str
     where: str
@@ -110,13 +131,22 @@ class Raw:
 
 
 def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:
-    """Return time, input, output and, if it is given, velocity of a record as vectors of one length; masked samples are NaN."""
+    """Return time, input, output and, if it is given, velocity of a record as vectors of one
+    length; masked samples are NaN.
+    """
     if not isinstance(name, str):
         raise BristleError(f"record {name}: its name is a {type(name).__name__}; give text")
-    found = {key: _vector(name, key, values) for key, values in zip(COLUMN_NAMES, columns, strict=False) if values is not None}
+    found = {
+        key: _vector(name, key, values)
+        for key, values in zip(COLUMN_NAMES, columns, strict=False)
+        if values is not None
+    }
     if len({len(values) for values in found.values()}) > 1:
         sizes = ", ".join(f"{key} {len(values)}" for key, values in found.items())
-        raise BristleError(f"record {name}: columns of different length ({sizes} samples); cut them to the same samples")
+        raise BristleError(
+            f"record {name}: columns of different length ({sizes} samples); cut them to the same"
+            " samples"
+        )
     if not len(found["time"]):
         raise BristleError(f"record {name}: holds no sample; check the columns")
     return list(found.values())
@@ -125,13 +155,17 @@ def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:
 def _vector(name: str, key: str, values: ArrayLike) -> Array:
     held = ""
     try:
-        array = np.ma.asarray(values) if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+        array = (
+            np.ma.asarray(values) if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+        )
         if array.dtype.kind in "cMm":
             held = f" but of {KINDS[array.dtype.kind]}"
             raise TypeError
         array = np.ma.filled(array.astype(float), np.nan)
     except (TypeError, ValueError):
-        raise BristleError(f"record {name}: {key} is not an array of numbers{held}; give one of shape (n,) in SI") from None
+        raise BristleError(
+            f"record {name}: {key} is not an array of numbers{held}; give one of shape (n,) in SI"
+        ) from None
     if array.ndim != 1:
         raise BristleError(f"record {name}: {key} has shape {array.shape}; give one of shape (n,)")
     return array

@@ -36,7 +36,8 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that have most slow tests, then most tests, and mark as slow what `sampled` leaves out of a quick run.
+    """Begin with the files that have most slow tests, then most tests, and mark as slow what
+    `sampled` leaves out of a quick run.
 
     A file goes to one worker: none is left with a long one at the end.
     """
@@ -53,17 +54,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say how many tests were skipped, by reason: data that are not in the repository, say."""
-    reasons = Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", []))
+    reasons = Counter(
+        str(report.longrepr[2]).removeprefix("Skipped: ")
+        for report in terminalreporter.stats.get("skipped", [])
+    )
     for reason, count in sorted(reasons.items()):
-        terminalreporter.write_line(f"{count} {'test was' if count == 1 else 'tests were'} skipped: {reason}", yellow=True)
+        terminalreporter.write_line(
+            f"{count} {'test was' if count == 1 else 'tests were'} skipped: {reason}", yellow=True
+        )
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Leave with pytest's own exit status before the interpreter is torn down.
 
-    pythonfmu 0.7.0 damages the heap of a process that loaded its libraries, which now and then aborts it at exit, after
-    every test has been judged. The harness keeps such FMUs in processes of their own; some tests load them here.
+    pythonfmu 0.7.0 damages the heap of a process that loaded its libraries, which now and then
+    aborts it at exit, after every test has been judged. The harness keeps such FMUs in processes of
+    their own; some tests load them here.
     """
     status = config.stash.get(_status, None)
     if status is not None and "pythonfmu" in sys.modules:
@@ -82,7 +89,9 @@ def case(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def changed() -> Callable[..., Path]:
-    """Return what copies an archive, `change` (name, content) -> content or None (left out) applied to all its files."""
+    """Return what copies an archive, `change` (name, content) -> content or None (left out) applied
+    to all its files.
+    """
 
     def copy(path: Path, target: Path, change: Callable[[str, bytes], bytes | None]) -> Path:
         with zipfile.ZipFile(path) as old, zipfile.ZipFile(target, "w") as new:
@@ -96,7 +105,9 @@ def changed() -> Callable[..., Path]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the figures out of the result folders of runs: drawing takes longer than a short run, and other tests look at them."""
+    """Leave the figures out of the result folders of runs: drawing takes longer than a short run,
+    and other tests look at them.
+    """
     monkeypatch.setattr("bristle.harness.figures.draw", lambda pictures: {})
 
 

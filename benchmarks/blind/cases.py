@@ -1,4 +1,6 @@
-"""The plan of the blind test and its cases: which effect, how visible, in which records; and the sealed answers."""
+"""The plan of the blind test and its cases: which effect, how visible, in which records; and the
+sealed answers.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from forms import EFFECTS, LOCAL, OUTSIDE, PARAMETERS, Fields, Generator, Setting, Shape, can_join, class_of, other_friction
+from forms import (
+    EFFECTS,
+    LOCAL,
+    OUTSIDE,
+    PARAMETERS,
+    Fields,
+    Generator,
+    Setting,
+    Shape,
+    can_join,
+    class_of,
+    other_friction,
+)
 from gap import EVERY, Gap, measure
 from scene import LIMIT, Scene, draw_scene, log_uniform, with_friction
 from shared import write_json
@@ -21,7 +35,16 @@ QUIET = 0.01  # rms of the disturbance over Fc in the controls of that name
 STRONG, WEAK, FAINT = (2.0, 30.0), (1.3, 2.0), (1.05, 1.3)  # gap ratios
 TOGETHER = 5.0  # least gap ratio of a pair
 CONTROL_RATIO = 1.15  # highest gap ratio of a control, as a mean and typically
-SIZES = {"same": 300, "other": 300, "low": 100, "faint": 40, "control": 240, "outside": 240, "pair": 160, "poor": 160}
+SIZES = {
+    "same": 300,
+    "other": 300,
+    "low": 100,
+    "faint": 40,
+    "control": 240,
+    "outside": 240,
+    "pair": 160,
+    "poor": 160,
+}
 SELECTIONS = {
     "single": ("same", "other"),
     "weak": ("low", "faint"),
@@ -43,7 +66,8 @@ class Spec:
     index: int
     group: str
     kind: str  # single, control, outside, pair, poor
-    names: tuple[str, ...]  # effects, or the variant of a control or of an effect outside the catalogue
+    # effects, or the variant of a control or of an effect outside the catalogue
+    names: tuple[str, ...]
     form: str = "same"
     span: tuple[float, float] = STRONG
     style: str = "rich"
@@ -66,7 +90,9 @@ def seed_of(commit: str, index: int | str) -> int:
 
 def _balanced(rng: Generator, names: Sequence[str], count: int) -> list[str]:
     """Return `count` names, each as often as the others to within one, in random order."""
-    rounds = [str(name) for _ in range(-(-count // len(names))) for name in rng.permutation(list(names))]
+    rounds = [
+        str(name) for _ in range(-(-count // len(names))) for name in rng.permutation(list(names))
+    ]
     return rounds[:count]
 
 
@@ -78,24 +104,42 @@ def _group(rng: Generator, group: str, count: int) -> list[Spec]:
     """Return the specs of one group, not numbered yet."""
     forms = ["same", "other"]
     if group == "control":
-        return [Spec(0, group, "control", (CONTROLS[i % len(CONTROLS)],), span=(0.0, CONTROL_RATIO)) for i in range(count)]
+        return [
+            Spec(0, group, "control", (CONTROLS[i % len(CONTROLS)],), span=(0.0, CONTROL_RATIO))
+            for i in range(count)
+        ]
     if group == "outside":
-        return [Spec(0, group, "outside", (name,)) for name in _balanced(rng, tuple(OUTSIDE), count)]
+        return [
+            Spec(0, group, "outside", (name,)) for name in _balanced(rng, tuple(OUTSIDE), count)
+        ]
     names = _balanced(rng, tuple(EFFECTS), count)
     if group == "pair":
-        return [Spec(0, group, "pair", (name, _partner(rng, name)), forms[i % 2]) for i, name in enumerate(names)]
+        return [
+            Spec(0, group, "pair", (name, _partner(rng, name)), forms[i % 2])
+            for i, name in enumerate(names)
+        ]
     if group == "poor":
         styles = ["sine", "sine", "slow", "slow"]
-        return [Spec(0, group, "poor", (name,), forms[i % 2], style=styles[i % 4]) for i, name in enumerate(names)]
+        return [
+            Spec(0, group, "poor", (name,), forms[i % 2], style=styles[i % 4])
+            for i, name in enumerate(names)
+        ]
     span = {"low": WEAK, "faint": FAINT}.get(group, STRONG)
     fixed = group if group in forms else ""
-    return [Spec(0, group, "single", (name,), fixed or forms[i % 2], span) for i, name in enumerate(names)]
+    return [
+        Spec(0, group, "single", (name,), fixed or forms[i % 2], span)
+        for i, name in enumerate(names)
+    ]
 
 
 def plan(commit: str, scale: float = 1.0) -> list[Spec]:
     """Return all cases, numbered from 1 in an order that says nothing about them."""
     rng = np.random.default_rng(seed_of(commit, "plan"))
-    specs = [spec for group, size in SIZES.items() for spec in _group(rng, group, math.ceil(size * scale))]
+    specs = [
+        spec
+        for group, size in SIZES.items()
+        for spec in _group(rng, group, math.ceil(size * scale))
+    ]
     return [replace(specs[j], index=i + 1) for i, j in enumerate(rng.permutation(len(specs)))]
 
 
@@ -109,8 +153,12 @@ class Found:
 
 
 def _calm(records: list[Record], quiet: list[Record]) -> bool:
-    """Return whether the loop is still in order: not far off the motion without the effect, and not at its limit."""
-    speed = [np.sqrt(np.mean([np.mean(r.states[:, 1] ** 2) for r in each])) for each in (records, quiet)]
+    """Return whether the loop is still in order: not far off the motion without the effect, and not
+    at its limit.
+    """
+    speed = [
+        np.sqrt(np.mean([np.mean(r.states[:, 1] ** 2) for r in each])) for each in (records, quiet)
+    ]
     limited = np.mean([np.mean(np.abs(r.u) >= LIMIT) for r in records])
     return bool(speed[0] < 1.4 * speed[1] and limited < 0.1)
 
@@ -128,10 +176,21 @@ def _aim(tried: list[tuple[float, float]], power: float, shape: Shape) -> float:
     return float(np.clip(wanted, math.log(shape.low), math.log(shape.high)))
 
 
-def adapt(scene: Scene, quiet: list[Record], shape: Shape, span: tuple[float, float], target: float, every: int) -> Found | None:
-    """Return the effect at a strength whose gap ratio is in the span, near the target; None if there is none."""
+def adapt(
+    scene: Scene,
+    quiet: list[Record],
+    shape: Shape,
+    span: tuple[float, float],
+    target: float,
+    every: int,
+) -> Found | None:
+    """Return the effect at a strength whose gap ratio is in the span, near the target; None if
+    there is none.
+    """
     tried: list[tuple[float, float]] = []
-    at: float = math.log(np.clip(shape.guess * ((target - 1) / 4) ** (1 / shape.power), shape.low, shape.high))
+    at: float = math.log(
+        np.clip(shape.guess * ((target - 1) / 4) ** (1 / shape.power), shape.low, shape.high)
+    )
     fitted: Array | None = None
     best: tuple[float, Found] | None = None
     for _ in range(TRIES):
@@ -162,13 +221,17 @@ def _target(rng: Generator, span: tuple[float, float]) -> float:
     return log_uniform(rng, 1.04 * span[0], 0.96 * span[1])
 
 
-def _single(rng: Generator, spec: Spec, name: str, scene: Scene, quiet: list[Record]) -> Found | None:
+def _single(
+    rng: Generator, spec: Spec, name: str, scene: Scene, quiet: list[Record]
+) -> Found | None:
     draw = OUTSIDE[name] if spec.kind == "outside" else EFFECTS[name]
     shape = draw(rng, Setting(scene, quiet, spec.form == "other"))
     return adapt(scene, quiet, shape, spec.span, _target(rng, spec.span), _every(name))
 
 
-def _pair(rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet: list[Record]) -> tuple[Found, list[float]] | None:
+def _pair(
+    rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet: list[Record]
+) -> tuple[Found, list[float]] | None:
     """Return a pair, and the gap ratio of each effect alone."""
     shapes = [EFFECTS[name](rng, Setting(scene, quiet, spec.form == "other")) for name in names]
     wide = (STRONG[0], 3 * STRONG[1])
@@ -192,14 +255,20 @@ def _pair(rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet:
 
 
 def _control(rng: Generator, spec: Spec, variant: str) -> tuple[Scene, Found, str] | None:
-    """Return a control with its scene; its formulation of friction is part of the variant's name."""
+    """Return a control with its scene; its formulation of friction is part of the variant's
+    name.
+    """
     scene = draw_scene(rng, "rich", QUIET) if variant == "quiet" else draw_scene(rng, "rich")
     if variant == "other_friction":
         formulation, friction = other_friction(rng, scene.base)
         scene, variant = with_friction(scene, friction), f"{variant}: {formulation}"
     records = scene.records()
     gap, _ = measure(records, scene.plant())
-    return (scene, Found({}, records, gap), variant) if max(gap.ratio, gap.typical) < spec.span[1] else None
+    return (
+        (scene, Found({}, records, gap), variant)
+        if max(gap.ratio, gap.typical) < spec.span[1]
+        else None
+    )
 
 
 def nominal(rng: Generator, scene: Scene, variant: str) -> Fields:
@@ -212,21 +281,38 @@ def nominal(rng: Generator, scene: Scene, variant: str) -> Fields:
 
 def bounds_of(given: Fields) -> dict[str, tuple[float, float]]:
     """Return how far each parameter may move."""
-    return {name: (0.0 if name == "a2" else 0.2 * value, 5 * value) for name, value in given.items()}
+    return {
+        name: (0.0 if name == "a2" else 0.2 * value, 5 * value) for name, value in given.items()
+    }
 
 
 def model_text(given: Fields) -> str:
     """Return the model file of a case."""
-    lines = ['friction = "coulomb"', "[parameters]", *(f"{name} = {value:.6g}" for name, value in given.items())]
-    lines += ["[bounds]", *(f"{name} = [{low:.6g}, {high:.6g}]" for name, (low, high) in bounds_of(given).items())]
+    lines = [
+        'friction = "coulomb"',
+        "[parameters]",
+        *(f"{name} = {value:.6g}" for name, value in given.items()),
+    ]
+    lines += [
+        "[bounds]",
+        *(f"{name} = [{low:.6g}, {high:.6g}]" for name, (low, high) in bounds_of(given).items()),
+    ]
     lines += ["[time]", 'column = "t"', 'unit = "s"']
     lines += ["[input]", 'column = "u"', 'kind = "torque"', 'unit = "N.m"']
-    lines += ["[output]", 'column = "theta"', 'kind = "position"', 'unit = "rad"', f"resolution = {RESOLUTION!r}"]
+    lines += [
+        "[output]",
+        'column = "theta"',
+        'kind = "position"',
+        'unit = "rad"',
+        f"resolution = {RESOLUTION!r}",
+    ]
     return "\n".join(lines) + "\n"
 
 
 def parameters_of(name: str, fields: Fields) -> dict[str, float]:
-    """Return the true parameters of an effect by their names in the catalogue; those without a part in it are left out."""
+    """Return the true parameters of an effect by their names in the catalogue; those without a part
+    in it are left out.
+    """
     values = {parameter: fields.get(f"{name}_{parameter}", 0.0) for parameter in PARAMETERS[name]}
     if name == "cogging" and values["amplitude2"] == 0:
         del values["amplitude2"], values["phase2"]
@@ -235,16 +321,22 @@ def parameters_of(name: str, fields: Fields) -> dict[str, float]:
     return values
 
 
-def _answer(spec: Spec, names: Sequence[str], scene: Scene, found: Found, variant: str | None) -> dict[str, Any]:
-    effects = [] if spec.kind in ("control", "outside") else [
-        {
-            "name": name,
-            "class": class_of(name),
-            "form": spec.form,
-            "parameters": parameters_of(name, found.fields) if spec.form == "same" else {},
-        }
-        for name in names
-    ]  # fmt: skip
+def _answer(
+    spec: Spec, names: Sequence[str], scene: Scene, found: Found, variant: str | None
+) -> dict[str, Any]:
+    effects = (
+        []
+        if spec.kind in ("control", "outside")
+        else [
+            {
+                "name": name,
+                "class": class_of(name),
+                "form": spec.form,
+                "parameters": parameters_of(name, found.fields) if spec.form == "same" else {},
+            }
+            for name in names
+        ]
+    )
     return {
         "case": spec.index,
         "kind": spec.kind,
@@ -252,7 +344,12 @@ def _answer(spec: Spec, names: Sequence[str], scene: Scene, found: Found, varian
         "style": spec.style,
         "variant": variant,
         "effects": effects,
-        "gap": {"base": found.gap.base, "floor": found.gap.floor, "ratio": found.gap.ratio, "typical": found.gap.typical},
+        "gap": {
+            "base": found.gap.base,
+            "floor": found.gap.floor,
+            "ratio": found.gap.ratio,
+            "typical": found.gap.typical,
+        },
         "base": scene.base,
         "fields": {key: value for key, value in found.fields.items() if value != 0},
     }
@@ -269,7 +366,9 @@ def _names(rng: Generator, spec: Spec, attempt: int, shapes: int) -> tuple[str, 
 
 
 def draw(commit: str, spec: Spec, shapes: int = SHAPES) -> Case:
-    """Draw a case; what did not reach its gap ratio in `shapes` attempts is listed in the answer under `rejected`."""
+    """Draw a case; what did not reach its gap ratio in `shapes` attempts is listed in the answer
+    under `rejected`.
+    """
     rng = np.random.default_rng(seed_of(commit, spec.index))
     rejected: list[str] = []
     for attempt in range(REDRAWS):
@@ -292,14 +391,23 @@ def draw(commit: str, spec: Spec, shapes: int = SHAPES) -> Case:
         if found is not None:
             given = nominal(rng, scene, names[0])
             answer = _answer(spec, names, scene, found, variant)
-            answer |= {"alone": alone, "rejected": rejected, "nominal": given, "planned": list(spec.names)}
+            answer |= {
+                "alone": alone,
+                "rejected": rejected,
+                "nominal": given,
+                "planned": list(spec.names),
+            }
             return Case(spec.index, found.records, model_text(given), answer)
         rejected.append("+".join(names))
-    raise RuntimeError(f"case {spec.index}: nothing reached gap ratios {spec.span} in {REDRAWS} draws: {rejected}")
+    raise RuntimeError(
+        f"case {spec.index}: nothing reached gap ratios {spec.span} in {REDRAWS} draws: {rejected}"
+    )
 
 
 def write(case: Case, out: Path) -> None:
-    """Write a case and its answer; the answer comes last, so that its presence means that the case is whole."""
+    """Write a case and its answer; the answer comes last, so that its presence means that the case
+    is whole.
+    """
     folder = out / "cases" / f"{case.index:05d}"
     folder.mkdir(parents=True, exist_ok=True)
     for name, record in zip("ab", case.records, strict=True):
@@ -309,8 +417,13 @@ def write(case: Case, out: Path) -> None:
 
 
 def seal(out: Path) -> str:
-    """Write the hashes of all answers (in the form of sha256sum) and return the hash of that list."""
-    lines = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  answers/{p.name}\n" for p in sorted((out / "answers").glob("*.json"))]
+    """Write the hashes of all answers (in the form of sha256sum) and return the hash of that
+    list.
+    """
+    lines = [
+        f"{hashlib.sha256(p.read_bytes()).hexdigest()}  answers/{p.name}\n"
+        for p in sorted((out / "answers").glob("*.json"))
+    ]
     text = "".join(lines)
     (out / "answers.sha256").write_text(text, encoding="utf-8")
     return hashlib.sha256(text.encode()).hexdigest()

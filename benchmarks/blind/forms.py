@@ -1,8 +1,9 @@
-"""What is hidden: every effect of the catalogue in its own form and in another of the same physics, effects outside the
-catalogue, and other formulations of Coulomb friction.
+"""What is hidden: every effect of the catalogue in its own form and in another of the same physics,
+effects outside the catalogue, and other formulations of Coulomb friction.
 
-A draw fixes the shape of an effect (phases, periods, places) and leaves one number, its strength, to be adapted to a gap
-ratio. The fields are those of the struct Plant in truth.c; what is named like a parameter of the catalogue means it.
+A draw fixes the shape of an effect (phases, periods, places) and leaves one number, its strength,
+to be adapted to a gap ratio. The fields are those of the struct Plant in truth.c; what is named
+like a parameter of the catalogue means it.
 """
 
 from __future__ import annotations
@@ -60,14 +61,24 @@ CLASSES = {
 }
 
 
-TAKEN = {  # other forms that an effect of the catalogue can take as well, by a parameter of its form; of these kinds only
-    "gravity": None, "eccentric_encoder": None, "position_friction": None, "friction_drift": None, "compliance": None,
-    "backlash": None, "hard_stop": 1.0, "stribeck": 1.0,
-}  # fmt: skip
+# other forms that an effect of the catalogue can take as well, by a parameter of its form; of these
+# kinds only
+TAKEN = {
+    "gravity": None,
+    "eccentric_encoder": None,
+    "position_friction": None,
+    "friction_drift": None,
+    "compliance": None,
+    "backlash": None,
+    "hard_stop": 1.0,
+    "stribeck": 1.0,
+}
 
 
 def can_be_taken(name: str, fields: Fields) -> bool:
-    """Return whether the other form that was drawn of an effect is one that the catalogue can take."""
+    """Return whether the other form that was drawn of an effect is one that the catalogue can
+    take.
+    """
     return name in TAKEN and TAKEN[name] in (None, fields.get(f"{name}_kind"))
 
 
@@ -78,7 +89,8 @@ def class_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Shape:
-    """An effect whose strength is still open: `fields(strength)`, strength between low and high, `guess` to begin with.
+    """An effect whose strength is still open: `fields(strength)`, strength between low and high,
+    `guess` to begin with.
 
     `power` is about d log(ratio - 1) / d log(strength).
     """
@@ -127,7 +139,9 @@ def phase(rng: Generator) -> float:
 def bias(rng: Generator, s: Setting) -> Shape:
     """Constant torque; other form: varying by a tenth with position."""
     side = sign(rng)
-    more = {"bias_ripple": rng.uniform(0.07, 0.12), "bias_ripple_phase": phase(rng)} if s.other else {}
+    more = (
+        {"bias_ripple": rng.uniform(0.07, 0.12), "bias_ripple_phase": phase(rng)} if s.other else {}
+    )
     return Shape(lambda m: {"bias_torque": side * m, **more}, 1e-4, 2e-3, 0.08)
 
 
@@ -135,21 +149,41 @@ def asymmetric_coulomb(rng: Generator, s: Setting) -> Shape:
     """Excess forward; other form: viscous friction is asymmetric too."""
     side, viscous = sign(rng), rng.uniform(0.4, 0.8) if s.other else 0.0
     return Shape(
-        lambda m: {"asymmetric_coulomb_share": side * m, "asymmetric_coulomb_viscous": side * m * viscous}, 0.002, 0.02, 0.6
+        lambda m: {
+            "asymmetric_coulomb_share": side * m,
+            "asymmetric_coulomb_viscous": side * m * viscous,
+        },
+        0.002,
+        0.02,
+        0.6,
     )
 
 
 def quadratic_drag(rng: Generator, s: Setting) -> Shape:
     """Square of the speed; other form: another power, away from viscous friction."""
-    exponent = (rng.uniform(1.65, 1.85) if rng.random() < 0.5 else rng.uniform(2.2, 2.7)) if s.other else 0.0
+    exponent = (
+        (rng.uniform(1.65, 1.85) if rng.random() < 0.5 else rng.uniform(2.2, 2.7))
+        if s.other
+        else 0.0
+    )
     top = 5.0 ** (2 - exponent) if exponent else 1.0
-    return Shape(lambda m: {"quadratic_drag_coefficient": m * top, "quadratic_drag_exponent": exponent}, 2e-5, 3e-4, 2e-2)
+    return Shape(
+        lambda m: {"quadratic_drag_coefficient": m * top, "quadratic_drag_exponent": exponent},
+        2e-5,
+        3e-4,
+        2e-2,
+    )
 
 
 def stribeck(rng: Generator, s: Setting) -> Shape:
     """Gaussian; other form: exponential or Lorentzian."""
     speed, kind = log_uniform(rng, 0.05, 1.0), float(rng.integers(1, 3)) if s.other else 0.0
-    return Shape(lambda m: {"stribeck_excess": m, "stribeck_speed": speed, "stribeck_kind": kind}, 0.01, 0.1, 1.5)
+    return Shape(
+        lambda m: {"stribeck_excess": m, "stribeck_speed": speed, "stribeck_kind": kind},
+        0.01,
+        0.1,
+        1.5,
+    )
 
 
 def presliding(rng: Generator, s: Setting) -> Shape:
@@ -166,7 +200,9 @@ def presliding(rng: Generator, s: Setting) -> Shape:
 
 
 def bristle_damping(rng: Generator, s: Setting) -> Shape:
-    """Bristles with damping, strength their travel; other form: the damping fades with the speed."""
+    """Bristles with damping, strength their travel; other form: the damping fades with the
+    speed.
+    """
     damping, fade = rng.uniform(0.1, 0.6), log_uniform(rng, 0.1, 0.5) if s.other else 0.0
 
     def fields(travel: float) -> Fields:
@@ -190,14 +226,25 @@ def cogging(rng: Generator, s: Setting) -> Shape:
     elif s.other:
         more = {"cogging_steep": rng.uniform(1.5, 4)}
     wave = {"cogging_periods": periods, "cogging_phase": shift, **more}
-    return Shape(lambda m: {**wave, "cogging_amplitude": m, "cogging_amplitude2": m * second}, 3e-4, 4e-3, 0.08)
+    return Shape(
+        lambda m: {**wave, "cogging_amplitude": m, "cogging_amplitude2": m * second},
+        3e-4,
+        4e-3,
+        0.08,
+    )
 
 
 def gravity(rng: Generator, s: Setting) -> Shape:
     """One term; other form: with a second harmonic."""
-    more = {"gravity_second": rng.uniform(0.15, 0.3), "gravity_second_phase": phase(rng)} if s.other else {}
+    more = (
+        {"gravity_second": rng.uniform(0.15, 0.3), "gravity_second_phase": phase(rng)}
+        if s.other
+        else {}
+    )
     shift = phase(rng)
-    return Shape(lambda m: {"gravity_amplitude": m, "gravity_phase": shift, **more}, 2e-4, 3e-3, 0.3)
+    return Shape(
+        lambda m: {"gravity_amplitude": m, "gravity_phase": shift, **more}, 2e-4, 3e-3, 0.3
+    )
 
 
 def dead_zone(rng: Generator, s: Setting) -> Shape:
@@ -211,7 +258,13 @@ def saturation(rng: Generator, s: Setting) -> Shape:
     knee = rng.uniform(6, 12) if s.other else 0.0
     high, low = 1 / s.torque(0.6), 1 / s.torque(0.9999)
     guess = 1 / s.torque(0.99)
-    return Shape(lambda m: {"saturation_limit": 1 / m, "saturation_sharpness": knee}, 0.8 * low, guess, high, 8.0)
+    return Shape(
+        lambda m: {"saturation_limit": 1 / m, "saturation_sharpness": knee},
+        0.8 * low,
+        guess,
+        high,
+        8.0,
+    )
 
 
 def gain_asymmetry(rng: Generator, s: Setting) -> Shape:
@@ -219,33 +272,51 @@ def gain_asymmetry(rng: Generator, s: Setting) -> Shape:
     side, more = sign(rng), {}
     if s.other:
         rounded = rng.random() < 0.5
-        more = {"gain_asymmetry_width": rng.uniform(0.03, 0.1)} if rounded else {"gain_asymmetry_power": rng.uniform(1.15, 1.4)}
+        more = (
+            {"gain_asymmetry_width": rng.uniform(0.03, 0.1)}
+            if rounded
+            else {"gain_asymmetry_power": rng.uniform(1.15, 1.4)}
+        )
     return Shape(lambda m: {"gain_asymmetry_share": side * m, **more}, 0.003, 0.03, 0.5)
 
 
 def input_delay(rng: Generator, s: Setting) -> Shape:
     """Constant; other form: jitter."""
     jitter = rng.uniform(0.15, 0.35) if s.other else 0.0
-    return Shape(lambda m: {"input_delay_delay": m, "input_delay_jitter": jitter}, 4e-4, 2e-3, 15e-3)
+    return Shape(
+        lambda m: {"input_delay_delay": m, "input_delay_jitter": jitter}, 4e-4, 2e-3, 15e-3
+    )
 
 
 def electrical_pole(rng: Generator, s: Setting) -> Shape:
     """First order; other form: two equal poles."""
     order = 2.0 if s.other else 0.0
-    return Shape(lambda m: {"electrical_pole_time_constant": m, "electrical_pole_order": order}, 4e-4, 2e-3, 15e-3)
+    return Shape(
+        lambda m: {"electrical_pole_time_constant": m, "electrical_pole_order": order},
+        4e-4,
+        2e-3,
+        15e-3,
+    )
 
 
 def backlash(rng: Generator, s: Setting) -> Shape:
     """Linear contact, strength the play; other form: a Hertzian contact."""
     share = rng.uniform(0.25, 0.6)
-    stiffness = share * s.base("J") * (2 * math.pi * rng.uniform(35, 60)) ** 2  # well above the sweep, or it is a compliance
-    fixed = {"backlash_share": share, "backlash_stiffness": stiffness, "backlash_dissipation": rng.uniform(0.5, 3)}
+    # well above the sweep, or it is a compliance
+    stiffness = share * s.base("J") * (2 * math.pi * rng.uniform(35, 60)) ** 2
+    fixed = {
+        "backlash_share": share,
+        "backlash_stiffness": stiffness,
+        "backlash_dissipation": rng.uniform(0.5, 3),
+    }
     fixed["backlash_hertz"] = 1.5 if s.other else 0.0
     return Shape(lambda m: {**fixed, "backlash_play": m}, 4e-3, 1e-2, 0.15, 1.5)
 
 
 def compliance(rng: Generator, s: Setting) -> Shape:
-    """Linear shaft, strength its period (resonance with the motor blocked); other form: a stiffening one."""
+    """Linear shaft, strength its period (resonance with the motor blocked); other form: a
+    stiffening one.
+    """
     share, damping, bend = rng.uniform(0.25, 0.65), rng.uniform(0.01, 0.06), rng.uniform(0.15, 0.4)
 
     def fields(time: float) -> Fields:
@@ -269,7 +340,9 @@ def load_friction(rng: Generator, s: Setting) -> Shape:
 
 
 def hard_stop(rng: Generator, s: Setting) -> Shape:
-    """Linear stop at one or both ends, strength how far it cuts into the range; other form: quadratic or damped."""
+    """Linear stop at one or both ends, strength how far it cuts into the range; other form:
+    quadratic or damped.
+    """
     ends, stiffness = rng.choice(["upper", "upper", "lower", "both"]), log_uniform(rng, 0.3, 8)
     kind = float(rng.integers(1, 3)) if s.other else 0.0
     damping = stiffness * rng.uniform(0.01, 0.03) if kind == 2 else 0.0
@@ -280,7 +353,12 @@ def hard_stop(rng: Generator, s: Setting) -> Shape:
             "hard_stop_upper": top - cut if ends != "lower" else 1e6,
             "hard_stop_lower": bottom + cut if ends != "upper" else -1e6,
         }
-        return {**place, "hard_stop_stiffness": stiffness, "hard_stop_kind": kind, "hard_stop_damping": damping}
+        return {
+            **place,
+            "hard_stop_stiffness": stiffness,
+            "hard_stop_kind": kind,
+            "hard_stop_damping": damping,
+        }
 
     return Shape(fields, 2e-3, 0.05 / math.sqrt(stiffness), 0.2 * (top - bottom), 1.5)
 
@@ -289,7 +367,10 @@ def friction_drift(rng: Generator, s: Setting) -> Shape:
     """Linear in time; other form: settling."""
     side, settling = sign(rng), rng.uniform(10, 40) if s.other else 0.0
     return Shape(
-        lambda m: {"friction_drift_rate": side * m, "friction_drift_settling": settling}, 3e-4, 3e-3, 0.018 if side < 0 else 0.05
+        lambda m: {"friction_drift_rate": side * m, "friction_drift_settling": settling},
+        3e-4,
+        3e-3,
+        0.018 if side < 0 else 0.05,
     )
 
 
@@ -298,39 +379,83 @@ def disturbance_step(rng: Generator, s: Setting) -> Shape:
     onset = rng.uniform(3, 17) if rng.random() < 0.5 else rng.uniform(28, 42)
     side, kind = sign(rng), 1.0 if s.other and rng.random() < 0.5 else 0.0
     rise = (rng.uniform(0.2, 0.6) if kind else rng.uniform(0.5, 2)) if s.other else 1e-3
-    fixed = {"disturbance_step_onset": onset, "disturbance_step_rise": rise, "disturbance_step_kind": kind}
+    fixed = {
+        "disturbance_step_onset": onset,
+        "disturbance_step_rise": rise,
+        "disturbance_step_kind": kind,
+    }
     return Shape(lambda m: {**fixed, "disturbance_step_torque": side * m}, 2e-4, 4e-3, 0.08)
 
 
 def eccentric_encoder(rng: Generator, s: Setting) -> Shape:
     """Once in a turn; other form: with a second harmonic."""
-    more = {"eccentric_encoder_second": rng.uniform(0.15, 0.3), "eccentric_encoder_second_phase": phase(rng)} if s.other else {}
+    more = (
+        {
+            "eccentric_encoder_second": rng.uniform(0.15, 0.3),
+            "eccentric_encoder_second_phase": phase(rng),
+        }
+        if s.other
+        else {}
+    )
     shift = phase(rng)
-    return Shape(lambda m: {"eccentric_encoder_amplitude": m, "eccentric_encoder_phase": shift, **more}, 3e-4, 1.8e-2, 0.06)
+    return Shape(
+        lambda m: {"eccentric_encoder_amplitude": m, "eccentric_encoder_phase": shift, **more},
+        3e-4,
+        1.8e-2,
+        0.06,
+    )
 
 
 def position_friction(rng: Generator, s: Setting) -> Shape:
     """One wave, one to four in a turn; other form: with a second harmonic."""
-    more = {"position_friction_second": rng.uniform(0.2, 0.35), "position_friction_second_phase": phase(rng)} if s.other else {}
-    fixed = {"position_friction_periods": float(rng.integers(1, 5)), "position_friction_phase": phase(rng), **more}
+    more = (
+        {
+            "position_friction_second": rng.uniform(0.2, 0.35),
+            "position_friction_second_phase": phase(rng),
+        }
+        if s.other
+        else {}
+    )
+    fixed = {
+        "position_friction_periods": float(rng.integers(1, 5)),
+        "position_friction_phase": phase(rng),
+        **more,
+    }
     return Shape(lambda m: {**fixed, "position_friction_amplitude": m}, 0.005, 0.06, 0.7)
 
 
 def encoder_play(rng: Generator, s: Setting) -> Shape:
     """Play at the sensor; other form: the encoder is taken along softly."""
     rounding = rng.uniform(2.5, 6) if s.other else 0.0
-    return Shape(lambda m: {"encoder_play_play": m, "encoder_play_rounding": rounding}, 1.5e-3, 8e-3, 0.1, 1.5)
+    return Shape(
+        lambda m: {"encoder_play_play": m, "encoder_play_rounding": rounding},
+        1.5e-3,
+        8e-3,
+        0.1,
+        1.5,
+    )
 
 
 def asymmetric_viscous(rng: Generator, s: Setting) -> Shape:
     """In proportion to |v|; other form: to a power of it."""
     side, power = sign(rng), rng.uniform(1.2, 1.4) if s.other else 0.0
-    return Shape(lambda m: {"asymmetric_viscous_coefficient": side * m, "asymmetric_viscous_power": power}, 1e-4, 2e-3, 0.03)
+    return Shape(
+        lambda m: {"asymmetric_viscous_coefficient": side * m, "asymmetric_viscous_power": power},
+        1e-4,
+        2e-3,
+        0.03,
+    )
 
 
 def gear_loss(rng: Generator, s: Setting) -> Shape:
-    """In proportion to the motor torque, less in one direction of the power; other form: a power of it."""
-    power, less, drives = rng.uniform(1.2, 1.6) if s.other else 0.0, rng.uniform(0.0, 0.3), rng.random() < 0.5
+    """In proportion to the motor torque, less in one direction of the power; other form: a power of
+    it.
+    """
+    power, less, drives = (
+        rng.uniform(1.2, 1.6) if s.other else 0.0,
+        rng.uniform(0.0, 0.3),
+        rng.random() < 0.5,
+    )
 
     def fields(m: float) -> Fields:
         driving, driven = (m, less * m) if drives else (less * m, m)
@@ -340,24 +465,51 @@ def gear_loss(rng: Generator, s: Setting) -> Shape:
 
 
 def return_spring(rng: Generator, s: Setting) -> Shape:
-    """Linear, at rest somewhere in the middle of the range; other form: one that stiffens, by half or more at the ends."""
+    """Linear, at rest somewhere in the middle of the range; other form: one that stiffens, by half
+    or more at the ends.
+    """
     low, high = s.position(0.0), s.position(1.0)
     rest, stiffening = rng.uniform(0.3, 0.7), rng.uniform(0.5, 1.5) if s.other else 0.0
-    fixed = {"return_spring_rest": low + rest * (high - low), "return_spring_stiffening": stiffening / (0.5 * (high - low)) ** 2}
+    fixed = {
+        "return_spring_rest": low + rest * (high - low),
+        "return_spring_stiffening": stiffening / (0.5 * (high - low)) ** 2,
+    }
     return Shape(lambda m: {**fixed, "return_spring_stiffness": m / (high - low)}, 4e-4, 6e-3, 0.6)
 
 
 EFFECTS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
-        bias, asymmetric_coulomb, quadratic_drag, stribeck, presliding, bristle_damping, cogging, gravity, dead_zone, saturation,
-        gain_asymmetry, input_delay, electrical_pole, backlash, compliance, load_friction, hard_stop, friction_drift,
-        disturbance_step, eccentric_encoder, position_friction, encoder_play, asymmetric_viscous, gear_loss,
+        bias,
+        asymmetric_coulomb,
+        quadratic_drag,
+        stribeck,
+        presliding,
+        bristle_damping,
+        cogging,
+        gravity,
+        dead_zone,
+        saturation,
+        gain_asymmetry,
+        input_delay,
+        electrical_pole,
+        backlash,
+        compliance,
+        load_friction,
+        hard_stop,
+        friction_drift,
+        disturbance_step,
+        eccentric_encoder,
+        position_friction,
+        encoder_play,
+        asymmetric_viscous,
+        gear_loss,
         return_spring,
     )
-}  # fmt: skip
+}
 
-LOCAL = {"hard_stop", "saturation", "disturbance_step", "disturbance_burst"}  # show in few segments: all are looked at
+# show in few segments: all are looked at
+LOCAL = {"hard_stop", "saturation", "disturbance_step", "disturbance_burst"}
 
 SLOTS = {  # of two effects with the same slot only one can act
     "presliding": "bristles",
@@ -369,7 +521,9 @@ SLOTS = {  # of two effects with the same slot only one can act
 
 def can_join(first: str, second: str) -> bool:
     """Return whether two effects of different classes can act at once."""
-    return class_of(first) != class_of(second) and (SLOTS.get(first) or first) != (SLOTS.get(second) or second)
+    return class_of(first) != class_of(second) and (SLOTS.get(first) or first) != (
+        SLOTS.get(second) or second
+    )
 
 
 def timed_tone(rng: Generator, s: Setting) -> Shape:
@@ -412,7 +566,10 @@ def inertia_ripple(rng: Generator, s: Setting) -> Shape:
 
     Source: spong2006 chapter 7 (Lagrange's equation of one coordinate).
     """
-    fixed = {"inertia_ripple_periods": float(rng.integers(1, 3)), "inertia_ripple_phase": phase(rng)}
+    fixed = {
+        "inertia_ripple_periods": float(rng.integers(1, 3)),
+        "inertia_ripple_phase": phase(rng),
+    }
     return Shape(lambda m: {**fixed, "inertia_ripple_share": m}, 0.003, 0.03, 0.5)
 
 
@@ -430,7 +587,15 @@ def disturbance_burst(rng: Generator, s: Setting) -> Shape:
 
 OUTSIDE: dict[str, Draw] = {
     draw.__name__: draw
-    for draw in (timed_tone, gain_compression, bouc_wen, viscous_drift, gain_ripple, inertia_ripple, disturbance_burst)
+    for draw in (
+        timed_tone,
+        gain_compression,
+        bouc_wen,
+        viscous_drift,
+        gain_ripple,
+        inertia_ripple,
+        disturbance_burst,
+    )
 }
 
 
@@ -445,4 +610,6 @@ def other_friction(rng: Generator, base: Fields) -> tuple[str, Fields]:
         return kind, {"regular": log_uniform(rng, 1e-4, 4e-4)}
     if kind == "dahl":
         return kind, {"sigma0": base["Fc"] / travel}
-    return kind, base_friction(base["J"], base["Fc"], travel) | {"sigma1_speed": log_uniform(rng, 0.005, 0.02)}
+    return kind, base_friction(base["J"], base["Fc"], travel) | {
+        "sigma1_speed": log_uniform(rng, 0.005, 0.02)
+    }

@@ -1,8 +1,9 @@
 """How visible an effect is: the gap ratio of two records, from the truth itself.
 
-The records are cut into segments of 0.4 s. A model is replayed over each without disturbance, from the true hidden states;
-initial position and velocity of each segment are eliminated as nuisances. The ratio is the mean squared output error of
-the best base model (inertia, viscous and Coulomb friction refitted) over that of the true model.
+The records are cut into segments of 0.4 s. A model is replayed over each without disturbance, from
+the true hidden states; initial position and velocity of each segment are eliminated as nuisances.
+The ratio is the mean squared output error of the best base model (inertia, viscous and Coulomb
+friction refitted) over that of the true model.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Gap:
 
     @property
     def typical(self) -> float:
-        """Geometric mean over the segments, for which one segment that sticks where it should slip counts little."""
+        """Geometric mean over the segments, for which one segment that sticks where it should slip
+        counts little.
+        """
         return float(np.exp(np.mean(np.log(self.base_errors) - np.log(self.floor_errors))))
 
 
@@ -57,17 +60,29 @@ class Pieces:
 
     def __init__(self, records: list[Record], every: int = EVERY) -> None:
         self.records = records
-        begins = [np.arange(LENGTH * (i % every), r.u.size - LENGTH + 1, LENGTH * every) for i, r in enumerate(records)]
+        begins = [
+            np.arange(LENGTH * (i % every), r.u.size - LENGTH + 1, LENGTH * every)
+            for i, r in enumerate(records)
+        ]
         self.first = [begin.astype(np.int64) for begin in begins]
         self.states = [r.states[f].copy() for r, f in zip(records, self.first, strict=True)]
-        measured = [r.theta[f[:, None] + np.arange(LENGTH)] for r, f in zip(records, self.first, strict=True)]
+        measured = [
+            r.theta[f[:, None] + np.arange(LENGTH)]
+            for r, f in zip(records, self.first, strict=True)
+        ]
         self.measured = np.concatenate(measured) + 0.5 * RESOLUTION  # middle of the count
         self.count = len(self.measured)
 
-    def error(self, plant: dict[str, float], nuisance: Array, states: list[Array] | None = None) -> Array:
-        """Return measured - replayed (segments x samples); nuisance: segments x (position, velocity)."""
+    def error(
+        self, plant: dict[str, float], nuisance: Array, states: list[Array] | None = None
+    ) -> Array:
+        """Return measured - replayed (segments x samples); nuisance: segments x (position,
+        velocity).
+        """
         out, at = [], 0
-        for record, first, begin in zip(self.records, self.first, states or self.states, strict=True):
+        for record, first, begin in zip(
+            self.records, self.first, states or self.states, strict=True
+        ):
             moved = begin.copy()
             part = nuisance[at : at + len(first)]
             moved[:, [0, 4]] += part[:, :1]
@@ -81,7 +96,13 @@ def _mean_squares(error: Array) -> Array:
     return np.asarray(np.mean(error**2, axis=1))
 
 
-def _nuisance_slopes(pieces: Pieces, plant: dict[str, float], nuisance: Array, error: Array, states: list[Array] | None) -> Array:
+def _nuisance_slopes(
+    pieces: Pieces,
+    plant: dict[str, float],
+    nuisance: Array,
+    error: Array,
+    states: list[Array] | None,
+) -> Array:
     slopes = np.empty((*error.shape, 2))
     for i, nudge in enumerate(NUDGES):
         moved = nuisance.copy()
@@ -94,13 +115,21 @@ def _solve(slopes: Array, right: Array) -> Array:
     """Return the least-squares solution per segment, slightly damped."""
     normal = np.einsum("ski,skj->sij", slopes, slopes)
     normal += np.eye(2) * (1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12)
-    return np.linalg.solve(normal, np.einsum("ski,sk...->si...", slopes, right).reshape(len(right), 2, -1))
+    return np.linalg.solve(
+        normal, np.einsum("ski,sk...->si...", slopes, right).reshape(len(right), 2, -1)
+    )
 
 
 def settle(
-    pieces: Pieces, plant: dict[str, float], nuisance: Array, states: list[Array] | None = None, rounds: int = 4
+    pieces: Pieces,
+    plant: dict[str, float],
+    nuisance: Array,
+    states: list[Array] | None = None,
+    rounds: int = 4,
 ) -> tuple[Array, Array]:
-    """Fit the nuisances of every segment; return (nuisances, errors). A step that does not improve a segment is not taken."""
+    """Fit the nuisances of every segment; return (nuisances, errors). A step that does not improve
+    a segment is not taken.
+    """
     error = pieces.error(plant, nuisance, states)
     for _ in range(rounds):
         slopes = _nuisance_slopes(pieces, plant, nuisance, error, states)
@@ -117,8 +146,16 @@ def settle(
     return nuisance, error
 
 
-def rescue(pieces: Pieces, plant: dict[str, float], nuisance: Array, error: Array, states: list[Array] | None = None) -> Array:
-    """Start the nuisances again beside where they ended, for segments that stick or slip against the measurement."""
+def rescue(
+    pieces: Pieces,
+    plant: dict[str, float],
+    nuisance: Array,
+    error: Array,
+    states: list[Array] | None = None,
+) -> Array:
+    """Start the nuisances again beside where they ended, for segments that stick or slip against
+    the measurement.
+    """
     for kick in KICKS:
         trial = nuisance + np.array([0.0, kick])
         trial, fresh = settle(pieces, plant, trial, states, 1)
@@ -135,8 +172,14 @@ def base_plant(parameters: NDArray[np.float64]) -> dict[str, float]:
 
 
 def _held_states(pieces: Pieces, truth: dict[str, float], plant: dict[str, float]) -> list[Array]:
-    """Return the true states with the bristles bent such that they bear the true friction, within the level of the model."""
-    stiffness = truth.get("presliding_stiffness") or truth.get("bristle_damping_stiffness") or truth.get("sigma0", 0.0)
+    """Return the true states with the bristles bent such that they bear the true friction, within
+    the level of the model.
+    """
+    stiffness = (
+        truth.get("presliding_stiffness")
+        or truth.get("bristle_damping_stiffness")
+        or truth.get("sigma0", 0.0)
+    )
     second = stiffness * truth.get("presliding_ratio", 0.0)
     held = []
     for states in pieces.states:
@@ -149,8 +192,11 @@ def _held_states(pieces: Pieces, truth: dict[str, float], plant: dict[str, float
     return held
 
 
-def _global_step(pieces: Pieces, truth: dict[str, float], x: Array, nuisance: Array, error: Array) -> tuple[Array, Array]:
-    """Return the Gauss-Newton step of (parameters, nuisances), the latter eliminated segment by segment.
+def _global_step(
+    pieces: Pieces, truth: dict[str, float], x: Array, nuisance: Array, error: Array
+) -> tuple[Array, Array]:
+    """Return the Gauss-Newton step of (parameters, nuisances), the latter eliminated segment by
+    segment.
 
     Source: golub1973 (separable least squares), here segment by segment.
     """
@@ -162,7 +208,9 @@ def _global_step(pieces: Pieces, truth: dict[str, float], x: Array, nuisance: Ar
         moved = x.copy()
         moved[i] += nudge
         other = base_plant(moved)
-        columns.append((error - pieces.error(other, nuisance, _held_states(pieces, truth, other))) / nudge)
+        columns.append(
+            (error - pieces.error(other, nuisance, _held_states(pieces, truth, other))) / nudge
+        )
     jacobian = np.stack(columns, axis=-1)
     stacked = np.concatenate([error[..., None], jacobian], axis=-1)
     cleaned = stacked - np.einsum("ski,sij->skj", slopes, _solve(slopes, stacked))
@@ -172,12 +220,22 @@ def _global_step(pieces: Pieces, truth: dict[str, float], x: Array, nuisance: Ar
     return step, _solve(slopes, error - jacobian @ step)[..., 0]
 
 
-def fit_base(pieces: Pieces, truth: dict[str, float], start: Array | None = None) -> tuple[Array, Array]:
-    """Refit the base model; return (mean squared errors by segment, parameters as in `base_plant`)."""
-    x = np.array([math.log(truth["J"]), truth["a2"], math.log(truth["Fc"])]) if start is None else start.copy()
+def fit_base(
+    pieces: Pieces, truth: dict[str, float], start: Array | None = None
+) -> tuple[Array, Array]:
+    """Refit the base model; return (mean squared errors by segment, parameters as in
+    `base_plant`).
+    """
+    x = (
+        np.array([math.log(truth["J"]), truth["a2"], math.log(truth["Fc"])])
+        if start is None
+        else start.copy()
+    )
     low = np.array([x[0] - 2.5, 0.0, math.log(1e-3 * truth["Fc"])])
     plant = base_plant(x)
-    nuisance, error = settle(pieces, plant, np.zeros((pieces.count, 2)), _held_states(pieces, truth, plant), 2)
+    nuisance, error = settle(
+        pieces, plant, np.zeros((pieces.count, 2)), _held_states(pieces, truth, plant), 2
+    )
     for _ in range(ROUNDS):
         step, change = _global_step(pieces, truth, x, nuisance, error)
         for size in (1.0, 0.3, 0.05):
@@ -206,8 +264,12 @@ def floor_errors(pieces: Pieces, truth: dict[str, float]) -> Array:
     return _mean_squares(rescue(pieces, truth, nuisance, error))
 
 
-def measure(records: list[Record], truth: dict[str, float], start: Array | None = None, every: int = EVERY) -> tuple[Gap, Array]:
-    """Return the gap, and the refitted base parameters, from which the fit of a similar case may start."""
+def measure(
+    records: list[Record], truth: dict[str, float], start: Array | None = None, every: int = EVERY
+) -> tuple[Gap, Array]:
+    """Return the gap, and the refitted base parameters, from which the fit of a similar case may
+    start.
+    """
     pieces = Pieces(records, every)
     base, x = fit_base(pieces, truth, start)
     return Gap(base, floor_errors(pieces, truth)), x

@@ -1,9 +1,10 @@
-"""Do refits to longer horizons generalise where the model is right? The cases of scenarios/hidden, each with its true structure.
+"""Do refits to longer horizons generalise where the model is right? The cases of scenarios/hidden,
+each with its true structure.
 
     python benchmarks/blind/horizons.py [CASE ...]
 
-Prints, for each half of the records and each horizon, by what factor a refit to that half lowers the squared error in the other
-half. Where the structure is the true one, only chance can lower it.
+Prints, for each half of the records and each horizon, by what factor a refit to that half lowers
+the squared error in the other half. Where the structure is the true one, only chance can lower it.
 """
 
 from __future__ import annotations
@@ -23,16 +24,38 @@ from hidden import HIDDEN_CASES, open_answers
 from bristle.diagnosis import load_model, load_records
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Servo, free_parameters
+from bristle.diagnosis.estimation.simulator import (
+    BRISTLE_EFFECTS,
+    OWN_BRISTLES,
+    Servo,
+    free_parameters,
+)
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.whole.open_loop import Records, fitted_error, open_loop_servo, refit_horizon, with_fitted_starts
+from bristle.diagnosis.whole.open_loop import (
+    Records,
+    fitted_error,
+    open_loop_servo,
+    refit_horizon,
+    with_fitted_starts,
+)
 
 
 def with_effect(servo: Servo, name: str, start: Mapping[str, float]) -> Servo:
-    """Return a servo with an effect, its parameters free; an effect of bristles takes the place of the servo's own."""
-    free = [f for f in servo.free if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}.")]
+    """Return a servo with an effect, its parameters free; an effect of bristles takes the place of
+    the servo's own.
+    """
+    free = [
+        f
+        for f in servo.free
+        if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}.")
+    ]
     free += free_parameters(name, start, servo.limits)
-    return replace(servo, effects=(*servo.effects, name), free=tuple(free), rigid=servo.rigid and name not in BRISTLE_EFFECTS)
+    return replace(
+        servo,
+        effects=(*servo.effects, name),
+        free=tuple(free),
+        rigid=servo.rigid and name not in BRISTLE_EFFECTS,
+    )
 
 
 def falls(folder: Path, answer: Mapping[str, Any]) -> Iterator[str]:
@@ -54,7 +77,9 @@ def falls(folder: Path, answer: Mapping[str, Any]) -> Iterator[str]:
             if fit is None:
                 break
             now, s = fit.values, other.stretches(seconds)
-            before, after = (fitted_error(with_fitted_starts(plain, each, s, one.least)) for each in (own, now))
+            before, after = (
+                fitted_error(with_fitted_starts(plain, each, s, one.least)) for each in (own, now)
+            )
             found.append(f"{seconds:.1f} s {(before / after) ** 2:.2f}")
         yield ", ".join(found) or "no refit stays with the records"
 
@@ -66,7 +91,10 @@ def main(names: list[str]) -> int:
             absorbed = any(effect["name"] == "back_emf" for effect in answer["effects"])
             if answer["kind"] != "outside" and not absorbed and (not names or case in names):
                 effects = " + ".join(effect["name"] for effect in answer["effects"]) or "none"
-                print(f"{case} {effects}: " + "; ".join(falls(HIDDEN_CASES / case, answer)), flush=True)
+                print(
+                    f"{case} {effects}: " + "; ".join(falls(HIDDEN_CASES / case, answer)),
+                    flush=True,
+                )
     return 0
 
 

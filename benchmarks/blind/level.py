@@ -1,10 +1,12 @@
-"""How often chance lifts an effect above the level: a parametric bootstrap of models fitted to records without any effect.
+"""How often chance lifts an effect above the level: a parametric bootstrap of models fitted to
+records without any effect.
 
     python benchmarks/blind/level.py [--controls 12] [--replicates 20] [--jobs 2] [--out out/level]
 
-Each control of the blind generator is fitted; from that fit records are simulated with new noise (disturbance torque and sensor as
-estimated, the encoder's steps) under the same input; in each of these all effects are tried, as in a diagnosis. The table goes to
-benchmarks/results/level.md. An interrupted run continues with what is missing.
+Each control of the blind generator is fitted; from that fit records are simulated with new noise
+(disturbance torque and sensor as estimated, the encoder's steps) under the same input; in each of
+these all effects are tried, as in a diagnosis. The table goes to benchmarks/results/level.md. An
+interrupted run continues with what is missing.
 """
 
 from __future__ import annotations
@@ -48,53 +50,80 @@ def fitted_to(model: Model, records: Sequence[Record]) -> FittedModel:
     return prepare_model(model, records, dataset_of(model, records))[1]
 
 
-def replicate(fitted: FittedModel, records: Sequence[Record], rng: np.random.Generator) -> list[tuple[str, Array, Array, Array]]:
-    """Return records (name, time, u, y) that the fitted model gives under the same inputs and new noise."""
+def replicate(
+    fitted: FittedModel, records: Sequence[Record], rng: np.random.Generator
+) -> list[tuple[str, Array, Array, Array]]:
+    """Return records (name, time, u, y) that the fitted model gives under the same inputs and new
+    noise.
+    """
     fit, made = fitted.fit, []
     grid = fit.simulator.segments
     for record, piece in zip(records, grid.pieces, strict=True):
         u, noise = np.asarray(record.u), fit.noise
         torque = disturbed(u, noise, fit.values["b"], record.h, rng)
         none, start, unsure = np.zeros((1, len(u))), piece.initial[:1], np.ones((1, 2))
-        whole = Piece(record.name, float(record.time[0]), torque, none, start, unsure, piece.seconds)
+        whole = Piece(
+            record.name, float(record.time[0]), torque, none, start, unsure, piece.seconds
+        )
         simulator = fit.simulator.over(Segments(record.h, 1, len(u), grid.velocity, (whole,)))
         simulated, _, good, _ = simulator.run(fit.values, whole.initial)
         if not good.all():
             raise RuntimeError(f"{record.name}: the fitted model cannot be simulated")
-        beside = math.sqrt(max(noise.sensor**2 * grid.width - RESOLUTION**2 / 12, 0.0))  # of a sample, beside the steps
+        # of a sample, beside the steps
+        beside = math.sqrt(max(noise.sensor**2 * grid.width - RESOLUTION**2 / 12, 0.0))
         y = simulated[0] + beside * rng.standard_normal(len(u))
         made.append((record.name, record.time, u, np.round(y / RESOLUTION) * RESOLUTION))
     return made
 
 
 def searched(folder: Path, number: int, target: Path) -> None:
-    """Try all effects on one replicate of a control, and write how far the best one is above what chance gives."""
+    """Try all effects on one replicate of a control, and write how far the best one is above what
+    chance gives.
+    """
     model = load_model(folder / "model.toml")
     records = load_records(model, [folder / "a.npz", folder / "b.npz"])
     rng = np.random.default_rng([number, 1])
     again = records_from_arrays(model, replicate(fitted_to(model, records), records, rng))
     dataset, base, _ = prepare_model(model, again, dataset_of(model, again))
     [first, *_] = search(dataset, base, SearchOptions(jobs=1, test_input_hold=False)).rounds
-    excess = [c.gain_over(base.fit) - first.null.typical.get(c.name, 0.0) for c in first.candidates if c.fit]
+    excess = [
+        c.gain_over(base.fit) - first.null.typical.get(c.name, 0.0)
+        for c in first.candidates
+        if c.fit
+    ]
     quantile = float(np.quantile(first.null.draws, 1 - FALSE_ALARM_RATE)) / REFIT_FACTOR
     named = first.best.name if first.outcome in ("added", "withdrawn") and first.best else ""
-    write_json(target, {"excess": max(excess), "quantile": quantile, "outcome": first.outcome, "named": named})
+    write_json(
+        target,
+        {"excess": max(excess), "quantile": quantile, "outcome": first.outcome, "named": named},
+    )
 
 
 def level_specs(count: int) -> list[Spec]:
     """Return the controls, of each kind in turn."""
-    return [Spec(k, "control", "control", (CONTROLS[k % len(CONTROLS)],), span=(0.0, CONTROL_RATIO)) for k in range(1, count + 1)]
+    return [
+        Spec(k, "control", "control", (CONTROLS[k % len(CONTROLS)],), span=(0.0, CONTROL_RATIO))
+        for k in range(1, count + 1)
+    ]
 
 
 def level_rows(results: Sequence[dict[str, Any]]) -> str:
     """Return the lines of the table."""
 
     def row(what: str, hits: int) -> str:
-        low, high = (100 * end for end in binomtest(hits, len(results)).proportion_ci(0.95, "exact"))
-        return f"| {what} | {hits} of {len(results)} ({100 * hits / len(results):.1f} %) | {low:.1f} to {high:.1f} % |"
+        low, high = (
+            100 * end for end in binomtest(hits, len(results)).proportion_ci(0.95, "exact")
+        )
+        return (
+            f"| {what} | {hits} of {len(results)} ({100 * hits / len(results):.1f} %) | {low:.1f}"
+            f" to {high:.1f} % |"
+        )
 
     lines = [
-        row(f"{factor:g} times the quantile of the scores", sum(r["excess"] > factor * r["quantile"] for r in results))
+        row(
+            f"{factor:g} times the quantile of the scores",
+            sum(r["excess"] > factor * r["quantile"] for r in results),
+        )
         for factor in FACTORS
     ]
     return "\n".join([*lines, row("an effect named", sum(bool(r["named"]) for r in results))])
@@ -102,23 +131,34 @@ def level_rows(results: Sequence[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Make the controls and their replicates, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--controls", type=int, default=12)
     parser.add_argument("--replicates", type=int, default=20, help="of each control")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=filled_path, default=run.ROOT / "out" / "level")
-    parser.add_argument("--finished", action="store_true", help="write the table of what is done, and make no more")
+    parser.add_argument(
+        "--finished", action="store_true", help="write the table of what is done, and make no more"
+    )
     given = parser.parse_args()
     (given.out / "results").mkdir(parents=True, exist_ok=True)
     specs = level_specs(given.controls)
     for spec in [] if given.finished else specs:
         if not (given.out / "answers" / f"{spec.index:05d}.json").exists():
             write(draw(LEVEL_SEED, spec), given.out)
-    numbers = [(spec, MOST_CONTROLS * spec.index + k) for k in range(given.replicates) for spec in specs]
-    calls = [(given.out / "cases" / f"{spec.index:05d}", n, given.out / "results" / f"{n}.json") for spec, n in numbers]
+    numbers = [
+        (spec, MOST_CONTROLS * spec.index + k) for k in range(given.replicates) for spec in specs
+    ]
+    calls = [
+        (given.out / "cases" / f"{spec.index:05d}", n, given.out / "results" / f"{n}.json")
+        for spec, n in numbers
+    ]
     if not given.finished:
         run.go_on(searched, calls, given.jobs, "level")
-    results = [json.loads(path.read_text(encoding="utf-8")) for _, _, path in calls if path.exists()]
+    results = [
+        json.loads(path.read_text(encoding="utf-8")) for _, _, path in calls if path.exists()
+    ]
     rows = level_rows(results)
     (run.ROOT / "benchmarks" / "results" / "level.md").write_text(
         LEVEL_PAGE.format(controls=len(specs), replicates=given.replicates, rows=rows), "utf-8"
@@ -128,9 +168,10 @@ def main() -> None:
 
 LEVEL_PAGE = """# How often chance lifts an effect above its level
 
-`python benchmarks/blind/level.py --controls {controls} --replicates {replicates}`: a parametric bootstrap of the null. Controls of
-the blind generator (nothing hidden; noise of several kinds, a wrong inertia, a quiet servo, another formulation of friction) are
-fitted, records are simulated from each fit under the same input with new noise (the estimated disturbance torque and error of the
+`python benchmarks/blind/level.py --controls {controls} --replicates {replicates}`: a parametric
+bootstrap of the null. Controls of the blind generator (nothing hidden; noise of several kinds, a
+wrong inertia, a quiet servo, another formulation of friction) are fitted, records are simulated
+from each fit under the same input with new noise (the estimated disturbance torque and error of the
 sensor, the encoder's steps), and all effects are tried in these as in a diagnosis.
 
 | first round of a search: the largest gain, less what is usual for its effect, is above | found | 95 % interval |

@@ -1,9 +1,11 @@
-"""Records sampled more slowly than the drive works: what is named, with the input as detected and with it taken as held.
+"""Records sampled more slowly than the drive works: what is named, with the input as detected and
+with it taken as held.
 
     low_rate_records.py [--out out/slow] [--jobs 2]
 
-Controls and single effects from the generator of the blind test, whose drive works at 1 kHz; every fourth or sixteenth sample is
-kept. The table goes to docs/diagnosis.md. An interrupted run continues with the cases that are missing.
+Controls and single effects from the generator of the blind test, whose drive works at 1 kHz; every
+fourth or sixteenth sample is kept. The table goes to docs/diagnosis.md. An interrupted run
+continues with the cases that are missing.
 """
 
 from __future__ import annotations
@@ -22,9 +24,11 @@ from score import Judged
 
 from bristle.common.arguments import filled_path
 
-LOW_RATE_SEED, LOW_RATE_SCALE = "slow, second", 0.02  # seed of the generator; share of its full plan
+# seed of the generator; share of its full plan
+LOW_RATE_SEED, LOW_RATE_SCALE = "slow, second", 0.02
 KEPT_EVERY = (4, 16)  # every how many-th sample is kept
-INPUT_WAYS = ("held", "found")  # how the input between samples is taken: held, or as the diagnosis detects it
+# how the input between samples is taken: held, or as the diagnosis detects it
+INPUT_WAYS = ("held", "found")
 
 
 def thinned(case: Path, every: int, folder: Path) -> Path:
@@ -47,13 +51,28 @@ def diagnose_slow(case: Path, every: int, way: str, target: Path) -> None:
 
 def row(out: Path, answers: list[Any], every: int, way: str) -> str:
     """Return a line of the table."""
-    judged = [Judged(a, json.loads(_target(out, a, every, way).read_text(encoding="utf-8"))) for a in answers]
-    controls, singles = ([j for j in judged if (j.group == "control") is wanted] for wanted in (True, False))
-    false, right, wrong = (sum(map(bool, each)) for each in (
-        [j.named for j in controls], [j.right for j in singles], [j.extra for j in singles],
-    ))  # fmt: skip
-    said = sum(j.result.get("excitation", {}).get("input_between_samples") == "changing" for j in judged)
-    figures = f"{false} of {len(controls)} | {right} of {len(singles)} | {wrong} of {len(singles)} | {said} of {len(judged)}"
+    judged = [
+        Judged(a, json.loads(_target(out, a, every, way).read_text(encoding="utf-8")))
+        for a in answers
+    ]
+    controls, singles = (
+        [j for j in judged if (j.group == "control") is wanted] for wanted in (True, False)
+    )
+    false, right, wrong = (
+        sum(map(bool, each))
+        for each in (
+            [j.named for j in controls],
+            [j.right for j in singles],
+            [j.extra for j in singles],
+        )
+    )
+    said = sum(
+        j.result.get("excitation", {}).get("input_between_samples") == "changing" for j in judged
+    )
+    figures = (
+        f"{false} of {len(controls)} | {right} of {len(singles)} | {wrong} of {len(singles)} |"
+        f" {said} of {len(judged)}"
+    )
     return f"| {1000 / every:.3g} Hz | {way} | {figures} |"
 
 
@@ -62,24 +81,33 @@ def _target(out: Path, answer: Any, every: int, way: str) -> Path:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=filled_path, default=run.ROOT / "out" / "slow")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
     run.generate(LOW_RATE_SEED, a.out, LOW_RATE_SCALE, a.jobs, ("controls", "single"))
-    answers = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((a.out / "answers").glob("*.json"))]
+    answers = [
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted((a.out / "answers").glob("*.json"))
+    ]
     calls = [
         (a.out / "cases" / f"{each['case']:05d}", every, way, _target(a.out, each, every, way))
         for each, every, way in itertools.product(answers, KEPT_EVERY, INPUT_WAYS)
     ]
     run.go_on(diagnose_slow, calls, a.jobs, "diagnose")
     rows = "\n".join(row(a.out, answers, every, way) for every in KEPT_EVERY for way in INPUT_WAYS)
-    put("slow records", "benchmarks/blind/low_rate_records.py", f"""## Records with a low sampling rate
+    put(
+        "slow records",
+        "benchmarks/blind/low_rate_records.py",
+        f"""## Records with a low sampling rate
 
-`python benchmarks/blind/low_rate_records.py`: controls and single effects of gap ratio 2 and more, half in another form, from
-a drive that works at 1 kHz; every fourth or sixteenth sample is kept. `held`: the diagnosis assumes an input that is constant
-between these samples, which it was not; `found`: it decides by rule 1 of diagnosis_rules.md how the input changes between them.
-(What it estimates includes any delay of less than half a sample.)
+`python benchmarks/blind/low_rate_records.py`: controls and single effects of gap ratio 2 and more,
+half in another form, from a drive that works at 1 kHz; every fourth or sixteenth sample is kept.
+`held`: the diagnosis assumes an input that is constant between these samples, which it was not;
+`found`: it decides by rule 1 of diagnosis_rules.md how the input changes between them. (What it
+estimates includes any delay of less than half a sample.)
 
 | logged at | input | controls named | named right | with a wrong name | reported as not held |
 |---|---|---|---|---|---|
@@ -87,7 +115,8 @@ between these samples, which it was not; `found`: it decides by rule 1 of diagno
 
 With so few cases the table gives no bound on an error rate. They come from the generator of the blind test, so its limits apply;
 and as its drive works at 1 kHz, the input is never truly held between the samples kept.
-""")  # fmt: skip
+""",
+    )
     print(rows)
 
 

@@ -1,12 +1,14 @@
-"""What the search names when the answer is known to it: whether a case that is not right was a failure of search or of evidence.
+"""What the search names when the answer is known to it: whether a case that is not right was a
+failure of search or of evidence.
 
     oracle_search.py --out out/blind/HASH [--jobs 2]
 
-Each case with an effect of the catalogue that is not named right is diagnosed again. The effects that are there are followed from
-all their starts to the ends, and of an effect in its own form the true parameters are one more start. All rules stay. What is
-right now was there to be found, and the search went past it; what is not, the rules refuse at the truth itself. No search, however
-good, names more than this under the same rules. The table is in
-benchmarks/results/oracle_search.md; cases go on where they were stopped.
+Each case with an effect of the catalogue that is not named right is diagnosed again. The effects
+that are there are followed from all their starts to the ends, and of an effect in its own form the
+true parameters are one more start. All rules stay. What is right now was there to be found, and the
+search went past it; what is not, the rules refuse at the truth itself. No search, however good,
+names more than this under the same rules. The table is in benchmarks/results/oracle_search.md;
+cases go on where they were stopped.
 """
 
 from __future__ import annotations
@@ -25,16 +27,26 @@ from score import Judged
 from bristle.common.arguments import filled_path
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "oracle_search.md"
-NOWHERE = 1e5  # beyond this a parameter of an answer means that there is none, such as a stop on one side only
+# beyond this a parameter of an answer means that there is none, such as a stop on one side only
+NOWHERE = 1e5
 
 
 def known_answer(answer: Any) -> dict[str, Any]:
-    """Return the search options with which the answer of a case is among the start values, and its effects are tried longest."""
+    """Return the search options with which the answer of a case is among the start values, and its
+    effects are tried longest.
+    """
     truth = {
-        effect["name"]: {name: value for name, value in effect["parameters"].items() if value is not None and abs(value) < NOWHERE}
+        effect["name"]: {
+            name: value
+            for name, value in effect["parameters"].items()
+            if value is not None and abs(value) < NOWHERE
+        }
         for effect in answer["effects"]
     }
-    return {"start_values": {name: [values] for name, values in truth.items() if values}, "exhaustive": tuple(truth)}
+    return {
+        "start_values": {name: [values] for name, values in truth.items() if values},
+        "exhaustive": tuple(truth),
+    }
 
 
 def diagnose_with_answer(folder: Path, answer: Any, target: Path) -> None:
@@ -43,32 +55,62 @@ def diagnose_with_answer(folder: Path, answer: Any, target: Path) -> None:
 
 
 def missed(out: Path) -> list[tuple[Any, Any]]:
-    """Return (answer, result) of each case with an effect of the catalogue that is not named right."""
-    return [(a, r) for a, r in run.answered(out) if a["group"] in GROUPS and r["verdict"] != "error" and not Judged(a, r).right]
+    """Return (answer, result) of each case with an effect of the catalogue that is not named
+    right.
+    """
+    return [
+        (a, r)
+        for a, r in run.answered(out)
+        if a["group"] in GROUPS and r["verdict"] != "error" and not Judged(a, r).right
+    ]
 
 
 def table(pairs: Iterable[tuple[Any, Any]], found: Callable[[Any], Any]) -> str:
-    """Return the counts by group and form, and a line for each case, of (answer, result) and what is `found` knowing the answer."""
+    """Return the counts by group and form, and a line for each case, of (answer, result) and what
+    is `found` knowing the answer.
+    """
     judged = [(Judged(answer, found(answer)), result) for answer, result in pairs]
     rows = []
     for key, count in standings((j.answer, j.result) for j, _ in judged).items():
         stands = [count[stand] for stand in STANDS]
-        rows.append(f"| {label(*key)} | {count['']} | {count[''] - sum(stands)} | {' | '.join(map(str, stands))} |")
+        rows.append(
+            f"| {label(*key)} | {count['']} | {count[''] - sum(stands)} |"
+            f" {' | '.join(map(str, stands))} |"
+        )
     lines = []
     for j, result in judged:
-        names = [", ".join(each["name"] for each in what["effects"]) or "nothing" for what in (j.answer, result, j.result)]
+        names = [
+            ", ".join(each["name"] for each in what["effects"]) or "nothing"
+            for what in (j.answer, result, j.result)
+        ]
         form = label(j.group, j.answer["effects"][0]["form"])
-        lines.append(f"| {j.answer['case']} | {form} | {' | '.join(names)} | {'right' if j.right else stood(j)} |")
-    return "\n".join([
-        f"| group | not right | right with the answer known | {' | '.join(STANDS)} |", f"|{'---|' * (len(STANDS) + 3)}", *rows, "",
-        "| case | group, form | truth | named | named with the answer known | the missing one stood |",
-        "|---|---|---|---|---|---|", *lines,
-    ])  # fmt: skip
+        lines.append(
+            f"| {j.answer['case']} | {form} | {' | '.join(names)} |"
+            f" {'right' if j.right else stood(j)} |"
+        )
+    return "\n".join(
+        [
+            f"| group | not right | right with the answer known | {' | '.join(STANDS)} |",
+            f"|{'---|' * (len(STANDS) + 3)}",
+            *rows,
+            "",
+            (
+                "| case | group, form | truth | named | named with the answer known | the missing"
+                " one stood |"
+            ),
+            "|---|---|---|---|---|---|",
+            *lines,
+        ]
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=filled_path, required=True, help="folder of a blind test that is diagnosed")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=filled_path, required=True, help="folder of a blind test that is diagnosed"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
     pairs = missed(a.out)

@@ -1,4 +1,6 @@
-"""What is around an effect: the servo without it, its controller, what it is asked to do, and the noise."""
+"""What is around an effect: the servo without it, its controller, what it is asked to do, and the
+noise.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ Generator = np.random.Generator
 
 @dataclass(frozen=True)
 class Scene:
-    """A servo without effect and all that acts on it, the same however strong the effect is made."""
+    """A servo without effect and all that acts on it, the same however strong the effect is
+    made.
+    """
 
     base: dict[str, float]  # J, a2, Fc
     friction: dict[str, float]  # formulation of the base friction
@@ -45,15 +49,26 @@ def log_uniform(rng: Generator, low: float, high: float) -> float:
 
 def draw_scene(rng: Generator, style: str, noise: float = NOISE) -> Scene:
     """Draw a scene; style: rich, sine or slow."""
-    base = {name: value * log_uniform(rng, 0.7, 1.3) for name, value in (("J", 0.01), ("a2", 0.02), ("Fc", 0.12))}
+    base = {
+        name: value * log_uniform(rng, 0.7, 1.3)
+        for name, value in (("J", 0.01), ("a2", 0.02), ("Fc", 0.12))
+    }
     first = rich(rng) if style == "rich" else sine(rng) if style == "sine" else slow(rng)
     second = rich(rng) if style == "rich" else sine(rng) if style == "sine" else slow(rng)
     noises = [disturbance(rng, SAMPLES + 1, noise * base["Fc"]) for _ in STARTS]
-    return Scene(base, base_friction(base["J"], base["Fc"]), draw_loop(rng, base), (first, second), (noises[0], noises[1]))
+    return Scene(
+        base,
+        base_friction(base["J"], base["Fc"]),
+        draw_loop(rng, base),
+        (first, second),
+        (noises[0], noises[1]),
+    )
 
 
 def draw_loop(rng: Generator, base: dict[str, float]) -> dict[str, float]:
-    """Draw a PD or PID position controller of 2 to 4 Hz, with a feedforward that is up to 20 % off."""
+    """Draw a PD or PID position controller of 2 to 4 Hz, with a feedforward that is up to 20 %
+    off.
+    """
     omega, zeta = rng.uniform(14, 26), rng.uniform(0.7, 1.1)
     guess = {name: value * log_uniform(rng, 0.8, 1.25) for name, value in base.items()}
     kp = guess["J"] * omega**2
@@ -71,7 +86,8 @@ def draw_loop(rng: Generator, base: dict[str, float]) -> dict[str, float]:
 
 
 def move(distance: float, speed: float, acceleration: float) -> Array:
-    """Return a smooth step (samples x position, velocity, acceleration) within limits of speed and acceleration.
+    """Return a smooth step (samples x position, velocity, acceleration) within limits of speed and
+    acceleration.
 
     Source: flash1985 (minimum-jerk profile: top speed 15/8 D/T, top acceleration 5.7735 D/T^2).
     """
@@ -110,9 +126,16 @@ def chirp(rng: Generator, seconds: float) -> Array:
     t = np.arange(1, n + 1) * PERIOD
     rate = math.log(rng.uniform(30, 45)) / seconds
     frequency = np.exp(rate * t)
-    amplitude = np.minimum(rng.uniform(0.05, 0.2), rng.uniform(25, 50) / (2 * math.pi * frequency) ** 2)
+    amplitude = np.minimum(
+        rng.uniform(0.05, 0.2), rng.uniform(25, 50) / (2 * math.pi * frequency) ** 2
+    )
     fade = np.minimum(1, np.minimum(t, seconds - t) / 0.3)
-    x = amplitude * fade**3 * (10 - 15 * fade + 6 * fade**2) * np.sin(2 * math.pi * (frequency - 1) / rate)
+    x = (
+        amplitude
+        * fade**3
+        * (10 - 15 * fade + 6 * fade**2)
+        * np.sin(2 * math.pi * (frequency - 1) / rate)
+    )
     v = np.gradient(x, PERIOD)
     return np.column_stack([x, v, np.gradient(v, PERIOD)])
 
@@ -128,7 +151,9 @@ def leg(rng: Generator, position: float, fast: bool) -> Array:
 
 
 def steps(rng: Generator, start: float, seconds: float, fast: bool) -> Array:
-    """Return random smooth steps of all sizes with rests in between, from `start` within the range, of a given duration."""
+    """Return random smooth steps of all sizes with rests in between, from `start` within the range,
+    of a given duration.
+    """
     parts: list[Array] = []
     position, left = start, round(seconds / PERIOD)
     while left > 0:
@@ -136,7 +161,9 @@ def steps(rng: Generator, start: float, seconds: float, fast: bool) -> Array:
         if len(part) > left:  # no room for this one: a smaller one, or rest
             part = move(log_uniform(rng, 0.01, 0.3) * (1 if rng.random() < 0.5 else -1), 4.0, 40.0)
             part = part if len(part) <= left else rest(left * PERIOD)
-        pause = rest(min(rng.uniform(0.1, 0.5), (left - len(part)) * PERIOD) if rng.random() < 0.4 else 0.0)
+        pause = rest(
+            min(rng.uniform(0.1, 0.5), (left - len(part)) * PERIOD) if rng.random() < 0.4 else 0.0
+        )
         parts += [part, pause]
         position += float(part[-1, 0])
         left -= len(part) + len(pause)
@@ -153,7 +180,9 @@ def chain(parts: list[Array], start: float = 0.0) -> Array:
 
 
 def rich(rng: Generator) -> Array:
-    """Return a record's reference: steps with rests, creep both ways, fast turns, a sweep, in any order."""
+    """Return a record's reference: steps with rests, creep both ways, fast turns, a sweep, in any
+    order.
+    """
     kinds = ["steps", "creep", "fast", "chirp", "steps", "creep", "steps"]
     share = rng.uniform(0.8, 1.2, len(kinds)) * [3.2, 2.4, 4.0, 3.4, 3.2, 1.8, 2.0]
     share *= (SECONDS - 0.3) / share.sum()
@@ -178,7 +207,11 @@ def rich(rng: Generator) -> Array:
 def sine(rng: Generator) -> Array:
     """Return one sine of about 1 Hz."""
     t = np.arange(SAMPLES) * PERIOD
-    omega, amplitude, centre = 2 * math.pi * rng.uniform(0.8, 1.2), rng.uniform(0.5, 1.0), rng.uniform(-3, 3)
+    omega, amplitude, centre = (
+        2 * math.pi * rng.uniform(0.8, 1.2),
+        rng.uniform(0.5, 1.0),
+        rng.uniform(-3, 3),
+    )
     fade = np.minimum(1, t / 0.7)
     x = centre + amplitude * fade**3 * (10 - 15 * fade + 6 * fade**2) * np.sin(omega * t)
     v = np.gradient(x, PERIOD)

@@ -1,6 +1,8 @@
-"""Score the effects named against sealed answers: each share with its count, its goal and an exact 95 % bound.
+"""Score the effects named against sealed answers: each share with its count, its goal and an exact
+95 % bound.
 
-A case is judged by classes: right if the verdict is `named` and the classes named are exactly those of the truth.
+A case is judged by classes: right if the verdict is `named` and the classes named are exactly those
+of the truth.
 """
 
 from __future__ import annotations
@@ -19,10 +21,23 @@ from shared import upper_bound
 
 Json = dict[str, Any]
 SLACK = 1e-9
-UNKNOWN = 0.5  # from a strength to an end of its interval, over the strength, from which on the report calls it not known
-WORSE = 1.2  # factor of the squared error over whole records beyond which the report calls a model worse than before
+# from a strength to an end of its interval, over the strength, from which on the report calls it
+# not known
+UNKNOWN = 0.5
+# factor of the squared error over whole records beyond which the report calls a model worse than
+# before
+WORSE = 1.2
 SINGLE = ("same", "other", "low", "faint")  # groups of one effect each, with rich excitation
-OUTCOMES = ("right", "wrong", "in part", "tie with truth", "tie without", "none", "not_identifiable", "error")
+OUTCOMES = (
+    "right",
+    "wrong",
+    "in part",
+    "tie with truth",
+    "tie without",
+    "none",
+    "not_identifiable",
+    "error",
+)
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
 
 
@@ -32,7 +47,9 @@ def lower_bound(count: int, n: int) -> float:
 
 
 def _reach(effect: Json) -> float:
-    """Return how far the interval of an effect's strength, or play, reaches, over its value; infinite where it is at a bound."""
+    """Return how far the interval of an effect's strength, or play, reaches, over its value;
+    infinite where it is at a bound.
+    """
     own = effect["parameters"]
     strength: Json = own["play"] if effect["name"] == "backlash" else next(iter(own.values()), {})
     if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
@@ -81,11 +98,16 @@ class Judged:
 
     @property
     def doubted(self) -> bool:
-        """Whether the report's heading is not green, by what the result says: a flag, records that do not agree, a strength that is
-        not known, or whole records whose squared error is larger by a fifth than before."""
+        """Whether the report's heading is not green, by what the result says: a flag, records that
+        do not agree, a strength that is not known, or whole records whose squared error is larger
+        by a fifth than before."""
         agreement = self.result.get("agreement") or {"holds": True}
         horizons = (self.result.get("whole_record") or {}).get("horizons") or []
-        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) ** 2 > WORSE * (horizons[-1]["before"] or math.inf) ** 2
+        worse = (
+            bool(horizons)
+            and (horizons[-1]["after"] or math.inf) ** 2
+            > WORSE * (horizons[-1]["before"] or math.inf) ** 2
+        )
         unknown = any(_reach(effect) >= UNKNOWN for effect in self.result["effects"])
         return self.flagged or not agreement["holds"] or unknown or worse
 
@@ -151,20 +173,42 @@ def judged_cases(out: Path, indices: Iterable[int]) -> list[Judged]:
     found = []
     for name in (f"{index:05d}.json" for index in indices):
         if (out / "results" / name).exists():
-            answer, result = (json.loads((out / part / name).read_text(encoding="utf-8")) for part in ("answers", "results"))
+            answer, result = (
+                json.loads((out / part / name).read_text(encoding="utf-8"))
+                for part in ("answers", "results")
+            )
             found.append(Judged(answer, result))
     return found
 
 
-def _at_most(name: str, bad: Iterable[bool], limit: float | None, basis: int | None = None) -> Figure:
-    """Return a count of failures; `limit` of `basis` is allowed, in proportion for a smaller run (never less than none)."""
+def _at_most(
+    name: str, bad: Iterable[bool], limit: float | None, basis: int | None = None
+) -> Figure:
+    """Return a count of failures; `limit` of `basis` is allowed, in proportion for a smaller run
+    (never less than none).
+    """
     marks = list(bad)
     count, n = sum(marks), len(marks)
     goal, met = "reported", None
     if limit is not None:
-        allowed = math.floor(limit * max(n, 1) / basis + SLACK) if basis else math.floor(limit * n + SLACK)
-        goal, met = (f"<= {limit:g} of {basis}" if basis else f"<= {100 * limit:g} %"), count <= allowed if n else None
-    return Figure(name, count / n if n else math.nan, n, goal, met, upper_bound(count, n) if n else None, count)
+        allowed = (
+            math.floor(limit * max(n, 1) / basis + SLACK)
+            if basis
+            else math.floor(limit * n + SLACK)
+        )
+        goal, met = (
+            (f"<= {limit:g} of {basis}" if basis else f"<= {100 * limit:g} %"),
+            count <= allowed if n else None,
+        )
+    return Figure(
+        name,
+        count / n if n else math.nan,
+        n,
+        goal,
+        met,
+        upper_bound(count, n) if n else None,
+        count,
+    )
 
 
 def _at_least(name: str, good: Iterable[bool], share: float | None) -> Figure:
@@ -177,7 +221,11 @@ def _at_least(name: str, good: Iterable[bool], share: float | None) -> Figure:
 
 
 def _number(
-    name: str, values: Sequence[float], reduce: Callable[[Any], Any], goal: str, passes: Callable[[float], bool] | None
+    name: str,
+    values: Sequence[float],
+    reduce: Callable[[Any], Any],
+    goal: str,
+    passes: Callable[[float], bool] | None,
 ) -> Figure:
     value = float(reduce(values)) if len(values) else math.nan
     return Figure(name, value, len(values), goal, passes(value) if passes and len(values) else None)
@@ -193,7 +241,9 @@ def _turn(angle: float) -> float:
 
 
 def normalise(name: str, values: dict[str, float]) -> dict[str, float]:
-    """Return parameters of a wave with a positive amplitude and a phase within half a turn: (A, phi) is (-A, phi + pi)."""
+    """Return parameters of a wave with a positive amplitude and a phase within half a turn: (A,
+    phi) is (-A, phi + pi).
+    """
     out = dict(values)
     for amplitude, phase in (("amplitude", "phase"), ("amplitude2", "phase2")):
         if amplitude in out and phase in out:
@@ -204,7 +254,9 @@ def normalise(name: str, values: dict[str, float]) -> dict[str, float]:
 
 
 def parameter_error(parameter: str, true: float, found: float) -> float:
-    """Return the relative error; of an angle its difference over a turn, of a place or a time the difference itself."""
+    """Return the relative error; of an angle its difference over a turn, of a place or a time the
+    difference itself.
+    """
     if parameter.startswith("phase"):
         return abs(_turn(found - true)) / (2 * math.pi)
     if parameter in ("upper", "lower", "onset"):
@@ -213,7 +265,9 @@ def parameter_error(parameter: str, true: float, found: float) -> float:
 
 
 def covers(parameter: str, true: float, ci: Sequence[float], value: float) -> bool:
-    """Return whether an interval has the truth inside; of an angle, whatever turn or sign of amplitude it is reported in."""
+    """Return whether an interval has the truth inside; of an angle, whatever turn or sign of
+    amplitude it is reported in.
+    """
     low, high = min(ci), max(ci)
     if parameter.startswith("phase"):
         return any(low <= true + math.pi * half * 2 <= high for half in range(-4, 5))
@@ -224,7 +278,9 @@ def _compare(truth: Json, found: Json) -> list[tuple[str, float, bool | None]]:
     """Return (parameter, error, covered) for every true parameter that is reported."""
     reported = {key.split(".")[-1]: entry for key, entry in found["parameters"].items()}
     values = {key: float(entry["value"]) for key, entry in reported.items()}
-    flips = {key: values.get(a, 1.0) < 0 for key, a in (("phase", "amplitude"), ("phase2", "amplitude2"))}
+    flips = {
+        key: values.get(a, 1.0) < 0 for key, a in (("phase", "amplitude"), ("phase2", "amplitude2"))
+    }
     true, seen = normalise(truth["name"], truth["parameters"]), normalise(truth["name"], values)
     rows = []
     for key, value in true.items():
@@ -243,7 +299,9 @@ def _compare(truth: Json, found: Json) -> list[tuple[str, float, bool | None]]:
 
 
 def parameter_rows(cases: Iterable[Judged]) -> list[tuple[str, float, bool | None]]:
-    """Return errors and coverage of all parameters of effects in the catalogue's own form that are named by name."""
+    """Return errors and coverage of all parameters of effects in the catalogue's own form that are
+    named by name.
+    """
     rows = []
     for case in cases:
         if not case.right:
@@ -256,7 +314,9 @@ def parameter_rows(cases: Iterable[Judged]) -> list[tuple[str, float, bool | Non
 
 
 def _poor_wrong(case: Judged) -> bool:
-    """Return whether a case of poor excitation is misjudged: a wrong name, or a tie set without the truth."""
+    """Return whether a case of poor excitation is misjudged: a wrong name, or a tie set without the
+    truth.
+    """
     return bool(case.extra) or case.outcome == "tie without" or case.outcome == "error"
 
 
@@ -272,16 +332,38 @@ def _naming(cases: list[Judged]) -> list[Figure]:
     clear = [c for c in cases if c.answer["effects"]]
     named = [c for c in clear if c.result["verdict"] == "named"]
     return [
-        _at_most("not named right, own form, ratio >= 2", (not c.right for c in of["same"]), 3, 300),
-        _at_most("not named right, other form, ratio >= 2", (not c.right for c in of["other"]), 9, 300),
-        _at_most("of these, a form that the catalogue can take", (not c.right for c in of["other"] if c.takable), None),
-        _at_most("of these, a form that it cannot take", (not c.right for c in of["other"] if not c.takable), None),
+        _at_most(
+            "not named right, own form, ratio >= 2", (not c.right for c in of["same"]), 3, 300
+        ),
+        _at_most(
+            "not named right, other form, ratio >= 2", (not c.right for c in of["other"]), 9, 300
+        ),
+        _at_most(
+            "of these, a form that the catalogue can take",
+            (not c.right for c in of["other"] if c.takable),
+            None,
+        ),
+        _at_most(
+            "of these, a form that it cannot take",
+            (not c.right for c in of["other"] if not c.takable),
+            None,
+        ),
         _at_least("named right, ratio 1.3 to 2", (c.right for c in of["low"]), 0.85),
         _at_least("named right, ratio < 1.3", (c.right for c in of["faint"]), None),
         _at_most("a wrong class among all that were named", (bool(c.extra) for c in named), 1, 450),
-        _at_least("strictly right by name, ratio >= 2", (c.strict for c in of["same"] + of["other"]), None),
-        _at_most("in doubt (no green heading) although named right", (c.doubted for c in clear if c.right), None),
-        _at_most("a wrong name, and no doubt said", (bool(c.extra) and not c.doubted for c in cases if c.named), None),
+        _at_least(
+            "strictly right by name, ratio >= 2", (c.strict for c in of["same"] + of["other"]), None
+        ),
+        _at_most(
+            "in doubt (no green heading) although named right",
+            (c.doubted for c in clear if c.right),
+            None,
+        ),
+        _at_most(
+            "a wrong name, and no doubt said",
+            (bool(c.extra) and not c.doubted for c in cases if c.named),
+            None,
+        ),
     ]
 
 
@@ -290,10 +372,19 @@ def _restraint(cases: list[Judged]) -> list[Figure]:
     outside = [c for c in cases if c.group == "outside"]
     right = [c for c in cases if c.group in SINGLE and c.right]
     return [
-        _at_most("false alarm on a control (anything named)", (bool(c.named) for c in controls), 1, 240),
-        _at_most("tie reported on a control", (c.result["verdict"] == "tie" for c in controls), None),
+        _at_most(
+            "false alarm on a control (anything named)", (bool(c.named) for c in controls), 1, 240
+        ),
+        _at_most(
+            "tie reported on a control", (c.result["verdict"] == "tie" for c in controls), None
+        ),
         _at_most("control flagged 'unexplained residual'", (c.flagged for c in controls), None),
-        _at_most("outside: misnamed without a flag", (bool(c.named) and not c.flagged for c in outside), 1, 240),
+        _at_most(
+            "outside: misnamed without a flag",
+            (bool(c.named) and not c.flagged for c in outside),
+            1,
+            240,
+        ),
         _at_most("outside: not flagged", (not c.flagged for c in outside), 6, 240),
         _at_most("outside: misnamed, flagged or not", (bool(c.named) for c in outside), None),
         _at_most("false 'unexplained residual' when named right", (c.flagged for c in right), 0.05),
@@ -313,26 +404,53 @@ def _several(cases: list[Judged]) -> list[Figure]:
             3,
             160,
         ),
-        _at_most("poor excitation: a wrong name, or a tie without the truth", (_poor_wrong(c) for c in poor), None),
+        _at_most(
+            "poor excitation: a wrong name, or a tie without the truth",
+            (_poor_wrong(c) for c in poor),
+            None,
+        ),
     ]
 
 
 def _quality(cases: list[Judged]) -> list[Figure]:
     right = [c for c in cases if c.right and c.group != "poor"]
-    shrink = [float(c.result["gap"]["shrink"]) for c in right if (c.result.get("gap") or {}).get("shrink") is not None]
+    shrink = [
+        float(c.result["gap"]["shrink"])
+        for c in right
+        if (c.result.get("gap") or {}).get("shrink") is not None
+    ]
     rows = parameter_rows(c for c in cases if c.group == "same")
     errors = [error for _, error, _ in rows]
     seconds = [float(c.result["seconds"]) for c in cases]
-    coverage = _at_least("95 % intervals that cover the truth, own form", (c for *_, c in rows if c is not None), None)
-    met = coverage.value >= 0.9 and (coverage.bound or 0.0) <= 0.99 if coverage.n else None  # a few that all cover are not too wide
+    coverage = _at_least(
+        "95 % intervals that cover the truth, own form",
+        (c for *_, c in rows if c is not None),
+        None,
+    )
+    # a few that all cover are not too wide
+    met = coverage.value >= 0.9 and (coverage.bound or 0.0) <= 0.99 if coverage.n else None
     return [
         _number("shrink when right, median", shrink, np.median, ">= 0.98", lambda x: x >= 0.98),
-        _number("parameter error, own form, median", errors, np.median, "<= 0.02", lambda x: x <= 0.02),
-        _number("parameter error, own form, 90th percentile", errors, percentile(90), "reported", None),
-        Figure(coverage.name, coverage.value, coverage.n, "90 to 99 %", met, coverage.bound, coverage.count),
+        _number(
+            "parameter error, own form, median", errors, np.median, "<= 0.02", lambda x: x <= 0.02
+        ),
+        _number(
+            "parameter error, own form, 90th percentile", errors, percentile(90), "reported", None
+        ),
+        Figure(
+            coverage.name,
+            coverage.value,
+            coverage.n,
+            "90 to 99 %",
+            met,
+            coverage.bound,
+            coverage.count,
+        ),
         _number("seconds of one core a case, median", seconds, np.median, "reported", None),
         _number("seconds of one core a case, longest", seconds, max, "<= 10", lambda x: x <= 10),
-        _at_most("cases that ended in an error", (c.result["verdict"] == "error" for c in cases), 0.0),
+        _at_most(
+            "cases that ended in an error", (c.result["verdict"] == "error" for c in cases), 0.0
+        ),
     ]
 
 
@@ -355,7 +473,9 @@ def _outcomes(cases: list[Judged], groups: Sequence[str]) -> list[str]:
     for group in groups:
         some = [c for c in cases if c.group == group]
         counted = Counter(c.outcome for c in some)
-        rows.append([group, len(some), *(counted[o] for o in OUTCOMES), sum(c.strict for c in some)])
+        rows.append(
+            [group, len(some), *(counted[o] for o in OUTCOMES), sum(c.strict for c in some)]
+        )
     return _table(["group", "n", *OUTCOMES, "strict name"], rows)
 
 
@@ -365,7 +485,9 @@ def _by_ratio(cases: list[Judged]) -> list[str]:
         some = [c for c in cases if c.answer["kind"] == "single" and low <= c.ratio < high]
         right = sum(c.right for c in some)
         bound = f"{100 * lower_bound(right, len(some)):.1f} %" if some else ""
-        rows.append([f"{low:g} to {high:g}", len(some), right, bound, sum(bool(c.extra) for c in some)])
+        rows.append(
+            [f"{low:g} to {high:g}", len(some), right, bound, sum(bool(c.extra) for c in some)]
+        )
     return _table(["gap ratio", "n", "right", "at least (95 %)", "wrong"], rows)
 
 
@@ -379,7 +501,9 @@ def _by_effect(cases: list[Judged]) -> list[str]:
             part = [c for c in some if c.group == group]
             cells.append(_share(sum(c.right for c in part), len(part)))
         rows.append([name, *cells, sum(c.strict for c in some), sum(bool(c.extra) for c in some)])
-    return _table(["effect", "own form", "other form", "1.3 to 2", "< 1.3", "strict name", "wrong"], rows)
+    return _table(
+        ["effect", "own form", "other form", "1.3 to 2", "< 1.3", "strict name", "wrong"], rows
+    )
 
 
 def _by_variant(cases: list[Judged], group: str) -> list[str]:
@@ -388,11 +512,17 @@ def _by_variant(cases: list[Judged], group: str) -> list[str]:
     for variant in sorted({c.answer["variant"] for c in some}):
         part = [c for c in some if c.answer["variant"] == variant]
         names = Counter("+".join(c.named) for c in part if c.named)
-        rows.append([
-            variant, len(part), sum(bool(c.named) for c in part), sum(c.result["verdict"] == "tie" for c in part),
-            sum(not c.flagged for c in part), sum(bool(c.named) and not c.flagged for c in part),
-            ", ".join(f"{name} {count}" for name, count in names.most_common()),
-        ])  # fmt: skip
+        rows.append(
+            [
+                variant,
+                len(part),
+                sum(bool(c.named) for c in part),
+                sum(c.result["verdict"] == "tie" for c in part),
+                sum(not c.flagged for c in part),
+                sum(bool(c.named) and not c.flagged for c in part),
+                ", ".join(f"{name} {count}" for name, count in names.most_common()),
+            ]
+        )
     return _table(["kind", "n", "named", "tie", "not flagged", "named, not flagged", "names"], rows)
 
 
@@ -402,7 +532,10 @@ def _confusion(cases: list[Judged]) -> list[str]:
     for c in singles:
         counted[c.truth[0]]["+".join(c.named) or c.result["verdict"]] += 1
     columns = sorted({name for counter in counted.values() for name in counter})
-    return _table(["truth / named", *columns], ([t, *(counted[t][name] or "" for name in columns)] for t in sorted(counted)))
+    return _table(
+        ["truth / named", *columns],
+        ([t, *(counted[t][name] or "" for name in columns)] for t in sorted(counted)),
+    )
 
 
 def _parameters(cases: list[Judged]) -> list[str]:
@@ -433,14 +566,30 @@ harmonic, a power, a settling drift: see `TAKEN` in benchmarks/blind/forms.py).
 
 
 def tables(pairs: Sequence[tuple[Json, Json]]) -> tuple[str, str, Json]:
-    """Return the figures and the other tables as markdown, and the figures as data, from pairs of (answer, result)."""
+    """Return the figures and the other tables as markdown, and the figures as data, from pairs of
+    (answer, result).
+    """
     cases = [Judged(answer, result) for answer, result in pairs]
     found = figures(cases)
     head = _table(["figure", "value", "n", "95 % bound", "goal", "met"], [])[:-1]
     lines = ["## Outcomes", "", *_outcomes(cases, (*SINGLE, "pair", "poor"))]
     lines += ["## By gap ratio", "", *_by_ratio(cases), "## By effect", "", *_by_effect(cases)]
-    lines += ["## Controls", "", *_by_variant(cases, "control"), "## Outside the catalogue", "", *_by_variant(cases, "outside")]
+    lines += [
+        "## Controls",
+        "",
+        *_by_variant(cases, "control"),
+        "## Outside the catalogue",
+        "",
+        *_by_variant(cases, "outside"),
+    ]
     lines += ["## Confusion", "", *_confusion(cases), "## Parameters", "", *_parameters(cases)]
     lines += ["## Draws", "", *_draws(cases)]
-    data = [{**figure.__dict__, "value": None if math.isnan(figure.value) else figure.value} for figure in found]
-    return "\n".join([NOTE, *head, *(figure.row() for figure in found)]), "\n".join(lines), {"cases": len(cases), "figures": data}
+    data = [
+        {**figure.__dict__, "value": None if math.isnan(figure.value) else figure.value}
+        for figure in found
+    ]
+    return (
+        "\n".join([NOTE, *head, *(figure.row() for figure in found)]),
+        "\n".join(lines),
+        {"cases": len(cases), "figures": data},
+    )

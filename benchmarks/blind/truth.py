@@ -1,4 +1,5 @@
-"""The hidden truth in numpy clothes: the structs of truth.c, closed-loop records and replays of pieces of them.
+"""The hidden truth in numpy clothes: the structs of truth.c, closed-loop records and replays of
+pieces of them.
 
 Nothing of the package's own plants is used; only its C compiler and its cache.
 """
@@ -26,8 +27,11 @@ PERIOD = 1e-3  # s, sampling period of the records
 STEP = 5e-5  # s, internal step of the records
 COUNTS = 16384
 RESOLUTION = 2 * math.pi / COUNTS
-DISPLACEMENT = 2e-5  # rad, Fc/sigma0 of the base friction: 1e-4 would show, a gap ratio of 1.3 to 2 over pure Coulomb friction
-FADE = 0.01  # rad/s, above which the damping of the bristles fades, lest it act as an impulse at every reversal
+# rad, Fc/sigma0 of the base friction: 1e-4 would show, a gap ratio of 1.3 to 2 over pure Coulomb
+# friction
+DISPLACEMENT = 2e-5
+# rad/s, above which the damping of the bristles fades, lest it act as an impulse at every reversal
+FADE = 0.01
 DAMPING_RATIO = 0.3  # of the mass on its bristles
 CORNER = 10.0  # Hz, of the disturbance torque
 
@@ -35,7 +39,10 @@ CORNER = 10.0  # Hz, of the disturbance torque
 def _struct(name: str) -> type[ctypes.Structure]:
     body = re.search(r"typedef struct \{([^}]*)\} " + name + ";", SOURCE)
     assert body is not None
-    fields = [(field, ctypes.c_double) for field in re.findall(r"^\s*double (\w+);", body[1], re.MULTILINE)]
+    fields = [
+        (field, ctypes.c_double)
+        for field in re.findall(r"^\s*double (\w+);", body[1], re.MULTILINE)
+    ]
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
@@ -61,7 +68,9 @@ def library() -> ctypes.CDLL:
 
 @cache
 def state_count() -> int:
-    """Return the number of states; position is the first, velocity the second, the load's the fifth and sixth."""
+    """Return the number of states; position is the first, velocity the second, the load's the fifth
+    and sixth.
+    """
     return int(library().truth_states())
 
 
@@ -91,7 +100,11 @@ def base_friction(J: float, Fc: float, displacement: float = DISPLACEMENT) -> di
     Source: canudas1995 (LuGre, with damping that fades with the speed).
     """
     sigma0 = Fc / displacement
-    return {"sigma0": sigma0, "sigma1": 2 * DAMPING_RATIO * math.sqrt(sigma0 * J), "sigma1_speed": FADE}
+    return {
+        "sigma0": sigma0,
+        "sigma1": 2 * DAMPING_RATIO * math.sqrt(sigma0 * J),
+        "sigma1_speed": FADE,
+    }
 
 
 def disturbance(rng: np.random.Generator, samples: int, rms: float) -> Array:
@@ -106,7 +119,13 @@ def disturbance(rng: np.random.Generator, samples: int, rms: float) -> Array:
     return noise
 
 
-def run(plant: Mapping[str, float], loop: Mapping[str, float], start: float, reference: Array, noise: Array) -> Record:
+def run(
+    plant: Mapping[str, float],
+    loop: Mapping[str, float],
+    start: float,
+    reference: Array,
+    noise: Array,
+) -> Record:
     """Simulate the closed loop over a reference (samples x position, velocity, acceleration)."""
     n, width = len(reference), state_count()
     reference, noise = np.ascontiguousarray(reference), np.ascontiguousarray(noise)
@@ -123,8 +142,17 @@ def run(plant: Mapping[str, float], loop: Mapping[str, float], start: float, ref
     return Record(start, u, theta, states)
 
 
-def replay(plant: Mapping[str, float], record: Record, first: NDArray[np.int64], states: Array, length: int, step: float) -> Array:
-    """Return the output of pieces of a record (pieces x samples), without disturbance, from given states."""
+def replay(
+    plant: Mapping[str, float],
+    record: Record,
+    first: NDArray[np.int64],
+    states: Array,
+    length: int,
+    step: float,
+) -> Array:
+    """Return the output of pieces of a record (pieces x samples), without disturbance, from given
+    states.
+    """
     states, first = np.ascontiguousarray(states), np.ascontiguousarray(first, dtype=np.int64)
     out = np.empty((first.size, length))
     library().truth_replay(
@@ -138,12 +166,17 @@ def replay(plant: Mapping[str, float], record: Record, first: NDArray[np.int64],
 
 
 def play(plant: Mapping[str, float], start: float, u: Array, noise: Array, place: float) -> Array:
-    """Return what the encoder shows (samples,) while an input is played back in open loop, from rest at a place."""
+    """Return what the encoder shows (samples,) while an input is played back in open loop, from
+    rest at a place.
+    """
     u, noise, begin = np.ascontiguousarray(u), np.ascontiguousarray(noise), np.zeros(state_count())
     begin[0] = begin[4] = place
     theta = np.empty(u.size)
     library().truth_play(
-        ctypes.byref(struct(Plant, {"step": STEP, **plant})), ctypes.c_double(RESOLUTION), ctypes.c_double(start),
-        ctypes.c_long(u.size), *(_pointer(array) for array in (u, noise, begin, theta)),
-    )  # fmt: skip
+        ctypes.byref(struct(Plant, {"step": STEP, **plant})),
+        ctypes.c_double(RESOLUTION),
+        ctypes.c_double(start),
+        ctypes.c_long(u.size),
+        *(_pointer(array) for array in (u, noise, begin, theta)),
+    )
     return theta

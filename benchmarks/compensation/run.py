@@ -1,4 +1,5 @@
-"""Tracking error with friction compensation by every observer on every friction law; docs/study/compensation.md.
+"""Tracking error with friction compensation by every observer on every friction law;
+docs/study/compensation.md.
 
 python benchmarks/compensation/run.py              # all observers, laws and seeds; resumes
 python benchmarks/compensation/run.py --pages      # only the page, from the results so far
@@ -18,7 +19,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
+# before numpy: one thread a worker
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -49,11 +51,17 @@ SPEEDS = (60.0, 15.0)  # deg/s rms, one phase each
 SEEDS = 1  # references
 ORDER = 2.0  # of the reference, whose acceleration is then finite
 WRONG_PARAMETERS = {  # factors on the true alpha2, b and Fc, or a load that is not there [rad/s2]
-    "b / 3": {"b": 1 / 3}, "b x 3": {"b": 3.0}, "Fc x 4": {"Fc": 4.0}, "Fc x -1": {"Fc": -1.0}, "alpha2 x 20": {"alpha2": 20.0},
+    "b / 3": {"b": 1 / 3},
+    "b x 3": {"b": 3.0},
+    "Fc x 4": {"Fc": 4.0},
+    "Fc x -1": {"Fc": -1.0},
+    "alpha2 x 20": {"alpha2": 20.0},
     "load of 5 rad/s2": {"load": 5.0},
-}  # fmt: skip
+}
 ALONE, LINEAR, TRUE = "controller alone", "true b and alpha2", "all true parameters"
-"""What the observers are compared with: nothing, what a linear model needs, and all that the law has of what is compensated."""
+"""What the observers are compared with: nothing, what a linear model needs, and all that the law
+has of what is compensated.
+"""
 
 
 @cache
@@ -63,11 +71,17 @@ def fmu(name: str) -> Fmu:
 
 
 def studied() -> list[str]:
-    """Return the methods that estimate the drive gain, without which nothing is compensated, and get no true values."""
+    """Return the methods that estimate the drive gain, without which nothing is compensated, and
+    get no true values.
+    """
     found = []
     for name, method in methods().items():
-        outputs = {variable.name: expression for variable, expression in observer(method).outputs.values()}
-        if not outputs["b_hat"].is_constant() and not any(p.description.endswith("known") for p in method.parameters):
+        outputs = {
+            variable.name: expression for variable, expression in observer(method).outputs.values()
+        }
+        if not outputs["b_hat"].is_constant() and not any(
+            p.description.endswith("known") for p in method.parameters
+        ):
             found.append(name)
     return found
 
@@ -76,20 +90,32 @@ def truth(law: str) -> dict[str, float]:
     """Return the true normalised parameters that a law has, at its defaults."""
     plant = fmu("plant")
     bus = Bus(
-        (Instance("plant", plant, {"law": plant.choices("law")[law]}),), 1, COMPENSATION_STEP,
+        (Instance("plant", plant, {"law": plant.choices("law")[law]}),),
+        1,
+        COMPENSATION_STEP,
         flags=tuple(("plant", name) for name in plant.variables if name.startswith("true.")),
-    )  # fmt: skip
+    )
     flags = simulate(bus).flags.last
-    return {name: flags["plant", f"true.{name}"] for name in OBSERVED if flags.get(("plant", f"true.{name}_valid"), 0.0)}
+    return {
+        name: flags["plant", f"true.{name}"]
+        for name in OBSERVED
+        if flags.get(("plant", f"true.{name}_valid"), 0.0)
+    }
 
 
-def given(who: str, way: str, law: str) -> tuple[list[tuple[int, Port, float]], list[tuple[Port, Port]]]:
+def given(
+    who: str, way: str, law: str
+) -> tuple[list[tuple[int, Port, float]], list[tuple[Port, Port]]]:
     """Return what brings estimates to the controller: constants, or links from the observer."""
     names = [name for name in OBSERVED if fmu("controller").has(f"{name}_hat", "input")]
     if who in (LINEAR, TRUE, *WRONG_PARAMETERS):
         chosen = {LINEAR: ("b", "alpha2"), TRUE: tuple(names)}.get(who, ("b", "alpha2", "Fc"))
         wrong = WRONG_PARAMETERS.get(who, {})
-        known = {name: value * wrong.get(name, 1.0) for name, value in truth(law).items() if name in chosen}
+        known = {
+            name: value * wrong.get(name, 1.0)
+            for name, value in truth(law).items()
+            if name in chosen
+        }
         known |= {"load": wrong["load"]} if "load" in wrong else {}
         return [
             (0, ("controller", f"{name}_{what}"), x)
@@ -100,12 +126,18 @@ def given(who: str, way: str, law: str) -> tuple[list[tuple[int, Port, float]], 
         return [], []
     links = [(("observer", f"{name}_hat"), ("controller", f"{name}_hat")) for name in names]
     counts = {name: f"{name}_valid" if way == "valid" else way for name in names}
-    return [], links + [(("observer", counts[name]), ("controller", f"{name}_valid")) for name in names]
+    return [], links + [
+        (("observer", counts[name]), ("controller", f"{name}_valid")) for name in names
+    ]
 
 
 def follow(who: str, way: str, law: str, seed: int) -> Json:
-    """Return the rms tracking error at each speed [deg/s], and which estimates were valid at the end."""
-    steps = [round(seconds / COMPENSATION_STEP) for seconds in (IDENTIFICATION, *(PHASE for _ in SPEEDS))]
+    """Return the rms tracking error at each speed [deg/s], and which estimates were valid at the
+    end.
+    """
+    steps = [
+        round(seconds / COMPENSATION_STEP) for seconds in (IDENTIFICATION, *(PHASE for _ in SPEEDS))
+    ]
     begins = np.cumsum(steps)[:-1]
     plant, controller, h = fmu("plant"), fmu("controller"), COMPENSATION_STEP
     instances = [
@@ -117,7 +149,9 @@ def follow(who: str, way: str, law: str, seed: int) -> Json:
     flags = []
     if who in methods():
         watching = fmu("observer")
-        instances.append(Instance("observer", watching, {"method": watching.choices("method")[who]}))
+        instances.append(
+            Instance("observer", watching, {"method": watching.choices("method")[who]})
+        )
         sensor = "encoder" if methods()[who].reads == "y_theta" else "clean"
         theta, v = {"encoder": ("theta_enc", "v_enc"), "clean": ("theta", "v")}[sensor]
         links += [
@@ -126,9 +160,22 @@ def follow(who: str, way: str, law: str, seed: int) -> Json:
             (("plant", v), ("observer", "y_v")),
         ]
         flags = [("observer", f"{name}_valid") for name in OBSERVED]
-    events += [(int(k), ("controller", "reference_scale"), speed / FULL_SPEED) for k, speed in zip(begins, SPEEDS, strict=True)]
+    events += [
+        (int(k), ("controller", "reference_scale"), speed / FULL_SPEED)
+        for k, speed in zip(begins, SPEEDS, strict=True)
+    ]
     record = (("controller", "reference"), ("plant", "v"))
-    trace = simulate(Bus(tuple(instances), sum(steps), h, tuple(links), tuple(events), record=record, flags=tuple(flags)))
+    trace = simulate(
+        Bus(
+            tuple(instances),
+            sum(steps),
+            h,
+            tuple(links),
+            tuple(events),
+            record=record,
+            flags=tuple(flags),
+        )
+    )
     if trace.failure is not None:
         return {"failure": trace.failure.message}
     error = np.degrees(trace.values[:, 0] - trace.values[:, 1])
@@ -147,7 +194,11 @@ def _texts(kind: str, name: str) -> tuple[str, ...]:
 
 
 def _path(who: str, way: str, law: str, seed: int) -> Path:
-    texts = [*_texts("controller", "controller"), *_texts("law", law), *(_texts("method", who) if who in methods() else ())]
+    texts = [
+        *_texts("controller", "controller"),
+        *_texts("law", law),
+        *(_texts("method", who) if who in methods() else ()),
+    ]
     settings = repr((IDENTIFICATION, PHASE, SPEEDS, ORDER, WRONG_PARAMETERS, who, way, law, seed))
     key = digest(getsource(given), getsource(follow), settings, *texts)
     return cache_folder() / "compensation" / key[:2] / f"{key[:40]}.json"
@@ -162,13 +213,20 @@ def compute(job: tuple[str, str, str, int]) -> None:
 
 def plan(seeds: int) -> Iterator[tuple[str, str, str, int]]:
     """Yield all jobs."""
-    who = [*((name, "") for name in (ALONE, LINEAR, TRUE, *WRONG_PARAMETERS)), *((name, way) for way in WAYS for name in studied())]
-    yield from ((*each, law, seed) for each in who for law in laws() for seed in range(1, seeds + 1))
+    who = [
+        *((name, "") for name in (ALONE, LINEAR, TRUE, *WRONG_PARAMETERS)),
+        *((name, way) for way in WAYS for name in studied()),
+    ]
+    yield from (
+        (*each, law, seed) for each in who for law in laws() for seed in range(1, seeds + 1)
+    )
 
 
 def main() -> None:
     """Compute what is missing, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="references")
     parser.add_argument("--pages", action="store_true", help="only write the page")
@@ -178,9 +236,15 @@ def main() -> None:
         for name in ("plant", "controller", "observer"):
             fmu(name)
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
-            for _ in track(pool.map(compute, work, chunksize=4), total=len(work), description="runs"):
+            for _ in track(
+                pool.map(compute, work, chunksize=4), total=len(work), description="runs"
+            ):
                 pass
-    found = {job: json.loads(_path(*job).read_text(encoding="utf-8")) for job in work if _path(*job).exists()}
+    found = {
+        job: json.loads(_path(*job).read_text(encoding="utf-8"))
+        for job in work
+        if _path(*job).exists()
+    }
     publish(found, [f"{speed:g}" for speed in SPEEDS], (ALONE, LINEAR, TRUE, *WRONG_PARAMETERS))
 
 

@@ -1,4 +1,6 @@
-"""Records of a servo under many conditions, made by servo.c; nothing of the package's own plants, sensors or controller is used."""
+"""Records of a servo under many conditions, made by servo.c; nothing of the package's own plants,
+sensors or controller is used.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +26,43 @@ Array = NDArray[np.float64]
 SOURCE = Path(__file__).with_name("servo.c").read_text(encoding="utf-8")
 DEGREE = math.pi / 180
 SECONDS = 60.0
-LONGEST_SUBSTEP = 2.5e-5  # s; at the largest relaxation rate c |v| of the conditions, 15000 1/s, a third of the stability limit
+# s; at the largest relaxation rate c |v| of the conditions, 15000 1/s, a third of the stability
+# limit
+LONGEST_SUBSTEP = 2.5e-5
 CONTROLLER_GAINS = (4.0, 20.0)  # V s/rad and V/rad, for b = 6.5 rad/(s2.V)
 STANDARD_B = 6.5  # rad/(s2.V)
 CLIPPED_AT = 2.5  # of the rms of a noise reference
 S = {"alpha2": 2.0, "b": STANDARD_B, "tau": 0.0, "s0": 600.0, "s1": 800.0, "s2": 300.0, "c": 150.0}
 R = S | {"s0": 800.0, "s1": 1067.0, "s2": 400.0, "c": 200.0}
 DAMPED = S | {"tau": 0.02}
-LUGRE = {"law": 1.0, "alpha2": 2.0, "b": STANDARD_B, "tau": 0.0, "s0": 800.0, "a0": 0.005, "a1": 0.004, "v0": 25 * DEGREE}
+LUGRE = {
+    "law": 1.0,
+    "alpha2": 2.0,
+    "b": STANDARD_B,
+    "tau": 0.0,
+    "s0": 800.0,
+    "a0": 0.005,
+    "a1": 0.004,
+    "v0": 25 * DEGREE,
+}
 PLANTS: dict[str, dict[str, float]] = {"S": S, "R": R, "damped": DAMPED, "LuGre": LUGRE}
 WIDTHS = ("w1", "m2", "w2")  # of the basis functions, and the place of the second
-SHAPES = {"law": 0.0, "w1": 10 * DEGREE, "m2": 20 * DEGREE, "w2": 20 * DEGREE, "a0": 1.0, "a1": 0.0, "v0": 1.0}
+SHAPES = {
+    "law": 0.0,
+    "w1": 10 * DEGREE,
+    "m2": 20 * DEGREE,
+    "w2": 20 * DEGREE,
+    "a0": 1.0,
+    "a1": 0.0,
+    "v0": 1.0,
+}
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What differs from the standard record: noise of 5 rad/s and 120 deg/s rms, 1 ms, 40000 counts, nothing else acting."""
+    """What differs from the standard record: noise of 5 rad/s and 120 deg/s rms, 1 ms, 40000
+    counts, nothing else acting.
+    """
 
     name: str
     group: str
@@ -47,7 +70,8 @@ class Condition:
     factors: Mapping[str, float] = field(default_factory=dict)  # of parameters of the plant
     reference: str = "noise"
     corner: float = 5.0  # rad/s
-    sections: tuple[int, ...] = (1, 2)  # low-pass sections of a noise reference, by turns over the seeds
+    # low-pass sections of a noise reference, by turns over the seeds
+    sections: tuple[int, ...] = (1, 2)
     rms: float = 120.0  # deg/s
     period: float = 1e-3  # s
     counts: float = 40000.0
@@ -66,7 +90,9 @@ class Condition:
 
 @dataclass(frozen=True)
 class Record:
-    """A record as an observer gets it (`y_theta` from the encoder, `y_v` the true velocity, as late), and the truth at the end."""
+    """A record as an observer gets it (`y_theta` from the encoder, `y_v` the true velocity, as
+    late), and the truth at the end.
+    """
 
     u: Array
     y_theta: Array
@@ -84,8 +110,12 @@ def _servo(values: Mapping[str, float]) -> ctypes.Structure:
     body = re.search(r"typedef struct \{([^}]*)\} Servo;", SOURCE)
     assert body is not None
     bare = re.sub(r"/\*.*?\*/", "", body[1])
-    names = [name.strip() for line in re.findall(r"double ([^;]*);", bare) for name in line.split(",")]
-    kind = type("Servo", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_double) for name in names]})
+    names = [
+        name.strip() for line in re.findall(r"double ([^;]*);", bare) for name in line.split(",")
+    ]
+    kind = type(
+        "Servo", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_double) for name in names]}
+    )
     return kind(**values)  # type: ignore[no-any-return]  # a class made of the fields in servo.c
 
 
@@ -93,7 +123,9 @@ def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _noise(random: np.random.Generator, n: int, period: float, corner: float, sections: int) -> Array:
+def _noise(
+    random: np.random.Generator, n: int, period: float, corner: float, sections: int
+) -> Array:
     """Return stationary low-pass noise of unit standard deviation."""
     warm = round(5 / corner / period)
     x, kept = random.standard_normal(n + warm), math.exp(-corner * period)
@@ -114,14 +146,20 @@ def _steps(random: np.random.Generator, n: int, period: float) -> Array:
 
 def _multisine(random: np.random.Generator, t: Array) -> Array:
     return np.asarray(
-        sum(math.sqrt(0.2) * np.sin(2 * math.pi * f * t + random.uniform(0, 2 * math.pi)) for f in np.geomspace(0.05, 5, 10))
+        sum(
+            math.sqrt(0.2) * np.sin(2 * math.pi * f * t + random.uniform(0, 2 * math.pi))
+            for f in np.geomspace(0.05, 5, 10)
+        )
     )
 
 
 def _chirp(random: np.random.Generator, t: Array) -> Array:
     low, high, whole = 0.05, 5.0, t[-1]
     rate = math.log(high / low) / whole
-    return np.asarray(math.sqrt(2) * np.sin(2 * math.pi * low * (np.exp(rate * t) - 1) / rate + random.uniform(0, 2 * math.pi)))
+    return np.asarray(
+        math.sqrt(2)
+        * np.sin(2 * math.pi * low * (np.exp(rate * t) - 1) / rate + random.uniform(0, 2 * math.pi))
+    )
 
 
 def _reference(c: Condition, random: np.random.Generator, seed: int, t: Array) -> Array:
@@ -156,7 +194,9 @@ def _load(c: Condition, random: np.random.Generator, t: Array, level: float) -> 
 
 
 def _true(values: Mapping[str, float], scale: float) -> dict[str, float]:
-    """Return the normalised parameters; of the modified model's own ones, only where this is the law."""
+    """Return the normalised parameters; of the modified model's own ones, only where this is the
+    law.
+    """
     friction = values["s0"] / values["c"] if values["law"] == 0 else values["s0"] * values["a0"]
     out = {"alpha2": values["alpha2"], "b": values["b"], "Fc": friction * scale}
     widths = [values[name] / SHAPES[name] for name in WIDTHS]
@@ -173,11 +213,21 @@ def record(condition: Condition, plant: str, seed: int) -> Record:
     """Return a record; simulated once, then taken from the cache."""
     c = condition
     values = SHAPES | PLANTS[plant]
-    values = values | {name: values[name] * factor for name, factor in c.factors.items() if name != "J"}
+    values = values | {
+        name: values[name] * factor for name, factor in c.factors.items() if name != "J"
+    }
     if "J" in c.factors:
-        values |= {name: values[name] / c.factors["J"] for name in ("alpha2", "b", "s0", "s1", "s2") if name in values}
+        values |= {
+            name: values[name] / c.factors["J"]
+            for name in ("alpha2", "b", "s0", "s1", "s2")
+            if name in values
+        }
     gain = STANDARD_B / values["b"]
-    values |= {"kp": CONTROLLER_GAINS[0] * gain, "ki": CONTROLLER_GAINS[1] * gain, "limit": 24.0 * abs(gain)}
+    values |= {
+        "kp": CONTROLLER_GAINS[0] * gain,
+        "ki": CONTROLLER_GAINS[1] * gain,
+        "limit": 24.0 * abs(gain),
+    }
     random = np.random.default_rng([seed, int(digest(plant + c.reference)[:8], 16)])
     t: Array = c.period * np.arange(round(c.seconds / c.period), dtype=np.float64)
     reference = _reference(c, random, seed, t)
@@ -198,9 +248,19 @@ def record(condition: Condition, plant: str, seed: int) -> Record:
 
 
 def _simulated(
-    values: Mapping[str, float], period: float, reference: Array, load: Array, noise: Array, scale: Array
+    values: Mapping[str, float],
+    period: float,
+    reference: Array,
+    load: Array,
+    noise: Array,
+    scale: Array,
 ) -> tuple[Array, Array, Array]:
-    key = digest(SOURCE, json.dumps(sorted(values.items())), repr(period), *(x.tobytes() for x in (reference, load, noise, scale)))
+    key = digest(
+        SOURCE,
+        json.dumps(sorted(values.items())),
+        repr(period),
+        *(x.tobytes() for x in (reference, load, noise, scale)),
+    )
     path = cache_folder() / "conditions" / f"{key[:40]}.npy"
     if path.exists():
         out = np.load(path)
@@ -208,9 +268,16 @@ def _simulated(
         out = np.empty((3, len(reference)))
         parts = max(1, math.ceil(period / LONGEST_SUBSTEP))
         _library().servo_run(
-            ctypes.byref(_servo(values)), ctypes.c_long(len(reference)), ctypes.c_long(parts), ctypes.c_double(period),
-            *(_pointer(np.ascontiguousarray(x, dtype=float)) for x in (reference, load, noise, scale)), *(_pointer(x) for x in out),
-        )  # fmt: skip
+            ctypes.byref(_servo(values)),
+            ctypes.c_long(len(reference)),
+            ctypes.c_long(parts),
+            ctypes.c_double(period),
+            *(
+                _pointer(np.ascontiguousarray(x, dtype=float))
+                for x in (reference, load, noise, scale)
+            ),
+            *(_pointer(x) for x in out),
+        )
         path.parent.mkdir(exist_ok=True)
         draft = path.with_suffix(f".{os.getpid()}.part")
         with draft.open("wb") as file:
@@ -248,10 +315,20 @@ def _conditions() -> dict[str, Condition]:
     for v0 in (5.0, 60.0, 120.0):
         add("plant", f"LuGre v0 {v0:g} deg/s", plants=("LuGre",), factors={"v0": v0 / 25.0})
     for name, factors in {
-        "c": (0.05, 5.0, 20.0), "alpha2": (0.05, 20.0), "friction": (0.05, 20.0), "b": (0.2, 50.0, -1.0), "J": (0.1, 10.0),
-    }.items():  # fmt: skip
+        "c": (0.05, 5.0, 20.0),
+        "alpha2": (0.05, 20.0),
+        "friction": (0.05, 20.0),
+        "b": (0.2, 50.0, -1.0),
+        "J": (0.1, 10.0),
+    }.items():
         for factor in factors:
-            scaled = ("s0", "s1", "s2") if name == "friction" else ("c", "s0", "s1", "s2") if name == "c" else (name,)
+            scaled = (
+                ("s0", "s1", "s2")
+                if name == "friction"
+                else ("c", "s0", "s1", "s2")
+                if name == "c"
+                else (name,)
+            )
             add("plant", f"{name} x{factor:g}", factors={each: factor for each in scaled})
     for factor in (0.3, 0.6, 2.0, 4.0):
         add("plant", f"basis width x{factor:g}", factors=dict.fromkeys(WIDTHS, factor))

@@ -1,14 +1,15 @@
-"""A ceiling for the observers: moving-horizon estimation of the joint model from position, by Gauss-Newton over whole windows.
+"""A ceiling for the observers: moving-horizon estimation of the joint model from position, by
+Gauss-Newton over whole windows.
 
-At each time of the grid it minimises, over the motion at the beginning of the window and all parameters,
+At each time of the grid it minimises, over the motion at the beginning of the window and all
+parameters,
     sum of (y_k - theta_k(x0, p))^2 / r_k  +  (p - p_before)' A (p - p_before),
-where A is the information of the data that have left the window, as it was at their last linearisation (the arrival cost); none
-if the model did not explain them.
-What it costs is of no account here: it solves every window until it stands still, from where the last one ended and from where
-self_starting_ekf then is, and takes the better end.
-The model is that of the joint filters (observer/kalman.py); there is no process noise, so that disturbance torques other than
-a constant one count as a wrong model.
-Source: rao2003 (moving horizon, arrival cost).
+where A is the information of the data that have left the window, as it was at their last
+linearisation (the arrival cost); none if the model did not explain them. What it costs is of no
+account here: it solves every window until it stands still, from where the last one ended and from
+where self_starting_ekf then is, and takes the better end. The model is that of the joint filters
+(observer/kalman.py); there is no process noise, so that disturbance torques other than a constant
+one count as a wrong model. Source: rao2003 (moving horizon, arrival cost).
 """
 
 from __future__ import annotations
@@ -38,13 +39,16 @@ INPUTS = 4  # the longest delay is one sample less
 HORIZON, GRID = 10.0, 5.0  # s: length of the window, and the interval at which it is solved
 START_OF_C = 100.0  # 1/rad
 START_LEVEL = 0.5  # friction over the rms acceleration by the drive
-FIRST_WINDOWS = (0.1, 0.2, 0.4)  # of the first one, solved before it, each from the end of the one before
+# of the first one, solved before it, each from the end of the one before
+FIRST_WINDOWS = (0.1, 0.2, 0.4)
 ROUNDS = 15  # steps of Gauss-Newton a window, at most
 STANDSTILL = 1e-6  # relative gain of a step, below which a window is solved
 LARGEST_DAMPING = 1e6
 SHARED_COUNT = 100.0  # samples with the same count, at most, that share one rounding error
-SPREAD = {"tau": 0.02, "delay": 1.0, "ln_width": 0.3, "ln_c": 3.0}  # prior standard deviations; the others have wide ones
-VALID_SHARE, LARGEST_MISFIT = 0.07, 2.0  # of a valid estimate: sd over the estimate; mean squared residual over the sensor's
+# prior standard deviations; the others have wide ones
+SPREAD = {"tau": 0.02, "delay": 1.0, "ln_width": 0.3, "ln_c": 3.0}
+# of a valid estimate: sd over the estimate; mean squared residual over the sensor's
+VALID_SHARE, LARGEST_MISFIT = 0.07, 2.0
 VALID_SHIFT = {"tau": 1e-3, "delay": 0.1}  # sd of what may be zero: s, samples
 
 DRIVER = """
@@ -75,14 +79,23 @@ EXPORT int window_run(long n, const double *p, const double *u, const double *y,
 def _servo(p: SX) -> kalman.Servo:
     alpha2, b, *levels, ln_c, tau, load, delay, ln_width = ca.vertsplit(p)
     c = ca.exp(ln_c)
-    return kalman.Servo(alpha2, b, [c * level for level in levels], c, tau, load, delay, ca.exp(ln_width))
+    return kalman.Servo(
+        alpha2, b, [c * level for level in levels], c, tau, load, delay, ca.exp(ln_width)
+    )
 
 
 def _step() -> ca.Function:
-    """Return one sample: motion, its derivatives by (motion at the beginning, parameters), and the normal equations so far."""
+    """Return one sample: motion, its derivatives by (motion at the beginning, parameters), and the
+    normal equations so far.
+    """
     x, slope = SX.sym("x", MOTION), SX.sym("slope", MOTION, ORDER)
     normal, right, cost = SX.sym("normal", ORDER, ORDER), SX.sym("right", ORDER), SX.sym("cost")
-    p, inputs, y, options = SX.sym("p", len(ENTRIES)), SX.sym("inputs", INPUTS), SX.sym("y"), SX.sym("options", 2)
+    p, inputs, y, options = (
+        SX.sym("p", len(ENTRIES)),
+        SX.sym("inputs", INPUTS),
+        SX.sym("y"),
+        SX.sym("options", 2),
+    )
     period, step = options[0], options[1]
     moved = kalman.sample(x, _servo(p), inputs, period)
     by_x, by_p = ca.jacobian(moved, x), ca.jacobian(moved, p)
@@ -93,7 +106,9 @@ def _step() -> ca.Function:
     error, row = y + step / 2 - moved[0], slope_new[0, :].T
     normal_new, right_new = normal + weight * row @ row.T, right + weight * row * error
     state = ca.vertcat(x, ca.vec(slope), ca.vec(normal), right, cost)
-    following = ca.vertcat(moved, ca.vec(slope_new), ca.vec(normal_new), right_new, cost + weight * error**2)
+    following = ca.vertcat(
+        moved, ca.vec(slope_new), ca.vec(normal_new), right_new, cost + weight * error**2
+    )
     return ca.Function("window_step", [state, p, inputs, y, options], [ca.densify(following)])
 
 
@@ -101,7 +116,10 @@ def _step() -> ca.Function:
 def _library() -> ctypes.CDLL:
     generator = ca.CodeGenerator("window.c", {"with_header": False, "casadi_int": "long long int"})
     generator.add(_step())
-    quiet = '#pragma GCC diagnostic ignored "-Wunused-parameter"\n#pragma GCC diagnostic ignored "-Wunused-function"\n'
+    quiet = (
+        '#pragma GCC diagnostic ignored "-Wunused-parameter"\n#pragma GCC diagnostic ignored'
+        ' "-Wunused-function"\n'
+    )
     export = '#define EXPORT __attribute__((visibility("default")))\n'
     source = quiet + generator.dump() + export + DRIVER
     name = f"{NAME}-{digest(source, ' '.join(FLAGS), compiler_identity())[:32]}{SUFFIX}"
@@ -116,16 +134,23 @@ class _Data:
         self.u, self.y = data.u, data.y_theta
 
     def window(self, first: int, last: int, motion: Array, p: Array) -> tuple[Array, Array, float]:
-        """Return (normal matrix, right-hand side, cost) of the samples first + 1 .. last, and let `motion` be at their end."""
+        """Return (normal matrix, right-hand side, cost) of the samples first + 1 .. last, and let
+        `motion` be at their end.
+        """
         n = last - first
-        earlier = np.concatenate([np.full(INPUTS - 1, self.u[0]), self.u])[first : last + INPUTS - 1]
+        earlier = np.concatenate([np.full(INPUTS - 1, self.u[0]), self.u])[
+            first : last + INPUTS - 1
+        ]
         inputs = np.ascontiguousarray(earlier[::-1])  # the latest first, one more at each sample
         outputs = np.ascontiguousarray(self.y[first + 1 : last + 1])
         state = np.zeros(MOTION + MOTION * ORDER + ORDER**2 + ORDER + 1)
         state[:MOTION] = motion
         state[MOTION : MOTION + MOTION * MOTION] = np.eye(MOTION).ravel()
         options = np.array([self.period, self.step])
-        pointers = (ctypes.c_void_p(each.ctypes.data) for each in (np.ascontiguousarray(p), inputs, outputs, options, state))
+        pointers = (
+            ctypes.c_void_p(each.ctypes.data)
+            for each in (np.ascontiguousarray(p), inputs, outputs, options, state)
+        )
         _library().window_run(ctypes.c_long(n), *pointers)
         rest = state[MOTION + MOTION * ORDER :]
         motion[:] = state[:MOTION]
@@ -133,7 +158,9 @@ class _Data:
 
 
 class _Prior:
-    """What is known before a window: a mean and information of (motion at its beginning, parameters)."""
+    """What is known before a window: a mean and information of (motion at its beginning,
+    parameters).
+    """
 
     def __init__(self, mean: Array, information: Array) -> None:
         self.mean, self.information = mean, information
@@ -144,7 +171,11 @@ class _Prior:
 
 def _kept(z: Array) -> Array:
     """Return z inside what is physically possible and what the model can be evaluated for."""
-    low = dict.fromkeys(("alpha2", "tau", "delay"), 0.0) | {"ln_c": 0.0, "ln_width": -2.0, "G0": 1e-6}
+    low = dict.fromkeys(("alpha2", "tau", "delay"), 0.0) | {
+        "ln_c": 0.0,
+        "ln_width": -2.0,
+        "G0": 1e-6,
+    }
     high = {"delay": INPUTS - 1.0, "ln_c": 12.0, "ln_width": 2.0, "tau": 1.0}
     new = z.copy()
     for i, name in enumerate(ENTRIES, start=MOTION):
@@ -152,8 +183,11 @@ def _kept(z: Array) -> Array:
     return new
 
 
-def _solve(data: _Data, first: int, last: int, z: Array, prior: _Prior) -> tuple[Array, Array, Array, float]:
-    """Return (entries, motion at the end, information of the window alone, whole cost) of the best fit near z.
+def _solve(
+    data: _Data, first: int, last: int, z: Array, prior: _Prior
+) -> tuple[Array, Array, Array, float]:
+    """Return (entries, motion at the end, information of the window alone, whole cost) of the best
+    fit near z.
 
     Levenberg-Marquardt; entries scaled by their own information.
     Source: nocedal2006 section 10.3.
@@ -190,33 +224,66 @@ def _solve(data: _Data, first: int, last: int, z: Array, prior: _Prior) -> tuple
 
 
 def _start(data: _Data, last: int) -> tuple[Array, _Prior]:
-    """Return start values and a wide prior: no true value, only the sizes of speed and input of the first window."""
+    """Return start values and a wide prior: no true value, only the sizes of speed and input of the
+    first window.
+    """
     apart = 10  # samples between the positions that give the speed
     v = np.diff(data.y[: last + 1 : apart]) / (apart * data.period)
     a, u = np.diff(v) / (apart * data.period), data.u[apart:last:apart]
     n = min(len(a), len(u))
-    alpha2, gain, _ = np.linalg.lstsq(np.column_stack([-v[:n], u[:n], -np.sign(v[:n])]), a[:n], rcond=None)[0]
+    alpha2, gain, _ = np.linalg.lstsq(
+        np.column_stack([-v[:n], u[:n], -np.sign(v[:n])]), a[:n], rcond=None
+    )[0]
     gain = gain or 1.0  # where nothing has moved yet
-    speed, push = max(float(np.sqrt(np.mean(v**2))), data.step), max(abs(gain) * float(np.std(data.u[: last + 1])), 1e-3)
-    spreads = np.array([data.step, speed, push, push / speed, 3 * abs(gain), *[3 * push] * 3, 1, 1, push, 1, 1])
+    speed, push = (
+        max(float(np.sqrt(np.mean(v**2))), data.step),
+        max(abs(gain) * float(np.std(data.u[: last + 1])), 1e-3),
+    )
+    spreads = np.array(
+        [data.step, speed, push, push / speed, 3 * abs(gain), *[3 * push] * 3, 1, 1, push, 1, 1]
+    )
     for name, value in SPREAD.items():
         spreads[MOTION + ENTRIES.index(name)] = value
     viscous, level = max(alpha2, 0.1 * push / speed), START_LEVEL * push
-    z = np.array([data.y[0] + data.step / 2, 0, 0, viscous, gain, level, 0, 0, math.log(START_OF_C), 0, 0, 0, 0])
+    z = np.array(
+        [
+            data.y[0] + data.step / 2,
+            0,
+            0,
+            viscous,
+            gain,
+            level,
+            0,
+            0,
+            math.log(START_OF_C),
+            0,
+            0,
+            0,
+            0,
+        ]
+    )
     return z, _Prior(z.copy(), np.diag(spreads**-2.0))
 
 
 def _filtered(condition: Condition, data: Record, times: Sequence[int]) -> Array:
-    """Return the parameters as self_starting_ekf has them at some samples, shape (times, ENTRIES)."""
+    """Return the parameters as self_starting_ekf has them at some samples, shape (times,
+    ENTRIES).
+    """
     program = observer_program("self_starting_ekf")
-    values = {"sample_time": condition.period, "self_starting_ekf.resolution": 2 * math.pi / condition.counts}
+    values = {
+        "sample_time": condition.period,
+        "self_starting_ekf.resolution": 2 * math.pi / condition.counts,
+    }
     columns = [f"self_starting_ekf.joint{i}" for i in range(MOTION, ORDER)]
-    rows = Native(program, values).run(condition.period, {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}, columns)[0]
+    rows = Native(program, values).run(
+        condition.period, {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}, columns
+    )[0]
     return np.asarray(rows[list(times)])
 
 
 def _departed(data: _Data, first: int, leaves: int, z: Array, prior: _Prior) -> _Prior:
-    """Return the prior of the window that begins at `leaves`: the information of what left it, and of the motion none.
+    """Return the prior of the window that begins at `leaves`: the information of what left it, and
+    of the motion none.
 
     Source: rao2003 (arrival cost by linearisation).
     """
@@ -236,9 +303,17 @@ def _departed(data: _Data, first: int, leaves: int, z: Array, prior: _Prior) -> 
 
 
 def _named(p: Array, covariance: Array) -> tuple[dict[str, float], dict[str, float]]:
-    """Return estimates and standard deviations by the names of the observers' outputs; sd to first order."""
+    """Return estimates and standard deviations by the names of the observers' outputs; sd to first
+    order.
+    """
     c, levels = math.exp(p[5]), p[2:5]
-    values = {"alpha2": p[0], "b": p[1], "Fc": p[2], **{f"sigma{i}": c * levels[i] for i in range(3)}, "c": c}
+    values = {
+        "alpha2": p[0],
+        "b": p[1],
+        "Fc": p[2],
+        **{f"sigma{i}": c * levels[i] for i in range(3)},
+        "c": c,
+    }
     values |= {"tau": p[6], "load": p[7], "delay": p[8]}
     slopes = np.zeros((len(values), len(p)))
     for row, column in enumerate((0, 1, 2)):
@@ -248,11 +323,15 @@ def _named(p: Array, covariance: Array) -> tuple[dict[str, float], dict[str, flo
     slopes[6, 5] = c
     slopes[7, 6] = slopes[8, 7] = slopes[9, 8] = 1
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, covariance, slopes), 0))
-    return {name: float(x) for name, x in values.items()}, dict(zip(values, spread.tolist(), strict=True))
+    return {name: float(x) for name, x in values.items()}, dict(
+        zip(values, spread.tolist(), strict=True)
+    )
 
 
 def estimate(condition: Condition, data: Record) -> list[dict[str, Any]]:
-    """Return one row for each time of the grid: time, estimates, standard deviations, mean squared residual over the sensor's."""
+    """Return one row for each time of the grid: time, estimates, standard deviations, mean squared
+    residual over the sensor's.
+    """
     d, first = _Data(condition, data), 0
     rows: list[dict[str, Any]] = []
     per, longest = round(GRID / condition.period), round(HORIZON / condition.period)
@@ -270,11 +349,22 @@ def estimate(condition: Condition, data: Record) -> list[dict[str, Any]]:
             beginning = prior.mean[:MOTION]
             z = np.concatenate([beginning, z[MOTION:]])
         starts = [z] + ([_kept(np.concatenate([beginning, other]))] if other[1] else [])
-        z, _, normal, cost = min((_solve(d, first, last, start, prior) for start in starts), key=lambda each: each[3])
+        z, _, normal, cost = min(
+            (_solve(d, first, last, start, prior) for start in starts), key=lambda each: each[3]
+        )
         misfit = cost / (last - first)
         covariance = np.linalg.pinv(normal + prior.information, hermitian=True)[MOTION:, MOTION:]
-        values, spread = _named(z[MOTION:], np.asarray(covariance * min(max(misfit, 1.0), 1e12), dtype=np.float64))
-        rows.append({"time": last * condition.period, "values": values, "sd": spread, "misfit": min(misfit, 1e12)})
+        values, spread = _named(
+            z[MOTION:], np.asarray(covariance * min(max(misfit, 1.0), 1e12), dtype=np.float64)
+        )
+        rows.append(
+            {
+                "time": last * condition.period,
+                "values": values,
+                "sd": spread,
+                "misfit": min(misfit, 1e12),
+            }
+        )
     return rows
 
 
@@ -283,7 +373,9 @@ def _valid(row: dict[str, Any]) -> dict[str, bool]:
     values = row["values"]
     sizes = values | {f"sigma{i}": values["sigma0"] for i in range(3)} | {"load": values["Fc"]}
     limits = {name: VALID_SHARE * abs(size) for name, size in sizes.items()} | VALID_SHIFT
-    return {name: row["misfit"] < LARGEST_MISFIT and row["sd"][name] < limits[name] for name in values}
+    return {
+        name: row["misfit"] < LARGEST_MISFIT and row["sd"][name] < limits[name] for name in values
+    }
 
 
 def observe(condition: Condition, data: Record, judged: Sequence[str]) -> dict[str, Any]:
@@ -293,7 +385,10 @@ def observe(condition: Condition, data: Record, judged: Sequence[str]) -> dict[s
     names = [name for name in rows[-1]["values"] if name in data.true]
     compared = [name for name in names if name in judged]
     off = [
-        max(abs(100 * (row["values"][n] / data.true[n] - 1)) if ok[n] else math.inf for n in compared)
+        max(
+            abs(100 * (row["values"][n] / data.true[n] - 1)) if ok[n] else math.inf
+            for n in compared
+        )
         for row, ok in zip(rows, valid, strict=True)
     ]
     second = settling(np.array([row["time"] for row in rows]), np.array(off), SETTLING_BAND)

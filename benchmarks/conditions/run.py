@@ -1,8 +1,10 @@
-"""Every observer under many conditions: how far off, how soon right, and whether it says so; docs/study/conditions.md.
+"""Every observer under many conditions: how far off, how soon right, and whether it says so;
+docs/study/conditions.md.
 
-python benchmarks/conditions/run.py                                   # all methods, 3 records a plant and condition; resumes
-python benchmarks/conditions/run.py --methods self_starting_ekf --seeds 24     # more records of one method
-python benchmarks/conditions/run.py --pages                           # only the page, from the results so far
+python benchmarks/conditions/run.py                                   # all methods, 3 records a
+plant and condition; resumes python benchmarks/conditions/run.py --methods self_starting_ekf --seeds
+24     # more records of one method python benchmarks/conditions/run.py --pages
+# only the page, from the results so far
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
+# before numpy: one thread a worker
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -49,14 +52,26 @@ JUDGED = ("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c")  # what the tr
 @cache
 def estimated(method: str) -> tuple[str, ...]:
     """Return what a method estimates, in the order of the tables."""
-    outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
+    outputs = {
+        variable.name: expression
+        for variable, expression in observer(methods()[method]).outputs.values()
+    }
     return tuple(name for name in OBSERVED if not outputs[f"{name}_hat"].is_constant())
 
 
 def studied() -> list[str]:
-    """Return the methods that estimate something of which the truth is known, without help by true values."""
-    given = {name for name, method in methods().items() if any(p.description.endswith("known") for p in method.parameters)}
-    return [*(name for name in methods() if name not in given and set(estimated(name)) & set(JUDGED)), moving_horizon.NAME]
+    """Return the methods that estimate something of which the truth is known, without help by true
+    values.
+    """
+    given = {
+        name
+        for name, method in methods().items()
+        if any(p.description.endswith("known") for p in method.parameters)
+    }
+    return [
+        *(name for name in methods() if name not in given and set(estimated(name)) & set(JUDGED)),
+        moving_horizon.NAME,
+    ]
 
 
 def observe(method: str, condition: Condition, data: Record) -> Json:
@@ -70,7 +85,10 @@ def observe(method: str, condition: Condition, data: Record) -> Json:
     names = [name for name in estimated(method) if name in data.true]
     restarting = f"{method}.starts" in program.index
     also = [f"{method}.starts", f"{method}.resumes"] if restarting else []
-    columns = [f"{name}_{what}" for what in ("hat", "sd", "valid") for name in names] + ["innovation", *also]
+    columns = [f"{name}_{what}" for what in ("hat", "sd", "valid") for name in names] + [
+        "innovation",
+        *also,
+    ]
     try:
         inputs = {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}
         rows = Native(program, values).run(condition.period, inputs, columns)[0][1:]
@@ -81,7 +99,9 @@ def observe(method: str, condition: Condition, data: Record) -> Json:
     judged = [i for i, name in enumerate(names) if name in JUDGED]
     true = np.array([data.true[names[i]] for i in judged])
     errors = np.abs(hats[:, judged] / true - 1) * 100
-    second = partial(_settled, np.asarray(condition.period * np.arange(1, len(errors) + 1), dtype=np.float64))
+    second = partial(
+        _settled, np.asarray(condition.period * np.arange(1, len(errors) + 1), dtype=np.float64)
+    )
     return {
         "true": {name: data.true[name] for name in names},
         "final": dict(zip(names, hats[-1].tolist(), strict=True)),
@@ -95,13 +115,17 @@ def observe(method: str, condition: Condition, data: Record) -> Json:
 
 
 def _settled(time: Array, errors: Array) -> float | None:
-    """Return when the largest of the errors [%] at each time is within the band for good; none if never, or without an error."""
+    """Return when the largest of the errors [%] at each time is within the band for good; none if
+    never, or without an error.
+    """
     second = settling(time, errors.max(axis=1)) if errors.size else math.nan
     return second if math.isfinite(second) else None
 
 
 def _changes(starts: Array, resumes: Array) -> int:
-    """Return how many starts follow a change that was found; the others begin anew because the filter did not converge."""
+    """Return how many starts follow a change that was found; the others begin anew because the
+    filter did not converge.
+    """
     return int(np.count_nonzero((np.diff(starts) > 0) & (resumes[1:] > 0)))
 
 
@@ -110,7 +134,10 @@ def _identity(method: str) -> str:
     """Return what identifies the equations of a method and what is made of its outputs."""
     if method == moving_horizon.NAME:
         return digest(getsource(moving_horizon))
-    return digest(*fingerprint(observer_program(method)), *(getsource(each) for each in (observe, _settled, _changes)))
+    return digest(
+        *fingerprint(observer_program(method)),
+        *(getsource(each) for each in (observe, _settled, _changes)),
+    )
 
 
 def _path(method: str, condition: Condition, plant: str, seed: int) -> Path:
@@ -135,7 +162,9 @@ def plan(seeds: Mapping[str, int]) -> Iterator[tuple[str, str, str, int]]:
     for name, condition in CONDITIONS.items():
         for plant in condition.plants:
             for seed in range(1, max(seeds.values()) + 1):
-                yield from ((method, name, plant, seed) for method, most in seeds.items() if seed <= most)
+                yield from (
+                    (method, name, plant, seed) for method, most in seeds.items() if seed <= most
+                )
 
 
 def results(seeds: Mapping[str, int]) -> dict[str, dict[str, list[Json]]]:
@@ -150,9 +179,13 @@ def results(seeds: Mapping[str, int]) -> dict[str, dict[str, list[Json]]]:
 
 def main() -> None:
     """Compute what is missing, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--methods", default=",".join(studied()), help="names with commas between")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="records of each plant and condition")
+    parser.add_argument(
+        "--seeds", type=int, default=SEEDS, help="records of each plant and condition"
+    )
     parser.add_argument("--best-seeds", type=int, default=8 * SEEDS, help=f"the same for {BEST}")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--pages", action="store_true", help="only write the page")
@@ -166,7 +199,9 @@ def main() -> None:
                 observer_program(method)
         work = list(plan({method: seeds[method] for method in wanted}))
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
-            for _ in track(pool.map(compute, work, chunksize=8), total=len(work), description="records"):
+            for _ in track(
+                pool.map(compute, work, chunksize=8), total=len(work), description="records"
+            ):
                 pass
     publish(results(seeds), BEST)
 

@@ -1,4 +1,5 @@
-"""Independent references for the servo's integrator: right-hand sides typed from the paper, solved by LSODA.
+"""Independent references for the servo's integrator: right-hand sides typed from the paper, solved
+by LSODA.
 
 Nothing here is imported from bristle: the tests and `study.py` compare the generated code with it.
 """
@@ -22,7 +23,9 @@ REFERENCE_STEP = 1e-3
 
 @dataclass(frozen=True)
 class Plant:
-    """A parameter set: the servo's law and parameters by public name, and the same equations typed independently."""
+    """A parameter set: the servo's law and parameters by public name, and the same equations typed
+    independently.
+    """
 
     law: str
     parameters: dict[str, float]
@@ -38,14 +41,20 @@ def modified_rhs(a2: float, s0: float, s1: float, s2: float, c: float) -> Rhs:
     def rhs(_t: float, x: Sequence[float], drive: float) -> list[float]:
         v, w = x[1], x[2]
         a = abs(v)
-        k = s0 + s1 * math.exp(-((a / (10 * DEG)) ** 2)) + s2 * math.exp(-(((a - 20 * DEG) / (20 * DEG)) ** 2))
+        k = (
+            s0
+            + s1 * math.exp(-((a / (10 * DEG)) ** 2))
+            + s2 * math.exp(-(((a - 20 * DEG) / (20 * DEG)) ** 2))
+        )
         return [v, drive - w - a2 * v, k * v - c * a * w]
 
     return rhs
 
 
 def lugre_rhs(m: float, s0: float, s1: float, s2: float, fc: float, fs: float, vs: float) -> Rhs:
-    """Return LuGre as Canudas de Wit et al. (1995) print it, in forces; s2 is the viscous coefficient."""
+    """Return LuGre as Canudas de Wit et al. (1995) print it, in forces; s2 is the viscous
+    coefficient.
+    """
 
     def rhs(_t: float, x: Sequence[float], drive: float) -> list[float]:
         v, z = x[1], x[2]
@@ -59,13 +68,30 @@ def lugre_rhs(m: float, s0: float, s1: float, s2: float, fc: float, fs: float, v
 def _modified(s0: float, s1: float, s2: float, c: float) -> Plant:
     values = {"modified.sigma0": s0, "modified.sigma1": s1, "modified.sigma2": s2, "modified.c": c}
     servo = {"J": 0.001, "b": 0.0065, "a2": 0.002}
-    return Plant("modified", servo | values, modified_rhs(2.0, s0, s1, s2, c), "modified.w", s0 / c, 6.5)
+    return Plant(
+        "modified", servo | values, modified_rhs(2.0, s0, s1, s2, c), "modified.w", s0 / c, 6.5
+    )
 
 
-def _lugre(servo: tuple[float, float, float], s0: float, s1: float, fc: float, fs: float, vs: float) -> Plant:
+def _lugre(
+    servo: tuple[float, float, float], s0: float, s1: float, fc: float, fs: float, vs: float
+) -> Plant:
     m, b, a2 = servo
-    values = {"lugre.sigma0": s0, "lugre.sigma1": s1, "lugre.Fc": fc, "lugre.Fs": fs, "lugre.vs": vs}
-    return Plant("lugre", {"J": m, "b": b, "a2": a2} | values, lugre_rhs(m, s0, s1, a2, fc, fs, vs), "lugre.z", fc / s0, b / m)
+    values = {
+        "lugre.sigma0": s0,
+        "lugre.sigma1": s1,
+        "lugre.Fc": fc,
+        "lugre.Fs": fs,
+        "lugre.vs": vs,
+    }
+    return Plant(
+        "lugre",
+        {"J": m, "b": b, "a2": a2} | values,
+        lugre_rhs(m, s0, s1, a2, fc, fs, vs),
+        "lugre.z",
+        fc / s0,
+        b / m,
+    )
 
 
 REFERENCE_PLANTS = {
@@ -90,7 +116,9 @@ def noise(n: int, seed: int, pole: float = 5.0) -> Array:
 
 
 class SpeedLoop:
-    """PI control (kp 4, ki 20) of the velocity along low-pass noise of 120 deg/s rms; `unit` scales to the plant."""
+    """PI control (kp 4, ki 20) of the velocity along low-pass noise of 120 deg/s rms; `unit` scales
+    to the plant.
+    """
 
     def __init__(self, n: int, seed: int = 1, unit: float = 1.0) -> None:
         self.reference = unit * np.clip(120 * DEG * noise(n, seed), -300 * DEG, 300 * DEG)
@@ -113,11 +141,15 @@ class Pull:
 
 
 class Saturated:
-    """Requests of up to 60 V, which the drive cuts at 24 V, with reversals and small voltages in between."""
+    """Requests of up to 60 V, which the drive cuts at 24 V, with reversals and small voltages in
+    between.
+    """
 
     def __init__(self, n: int, seed: int = 3) -> None:
         k = np.arange(n)
-        strong = 40.0 * noise(n, seed, 15.0) + 20.0 * np.sign(np.sin(k * 4 * math.pi * REFERENCE_STEP))
+        strong = 40.0 * noise(n, seed, 15.0) + 20.0 * np.sign(
+            np.sin(k * 4 * math.pi * REFERENCE_STEP)
+        )
         self.u = np.where(k % 500 < 400, strong, noise(n, seed + 1, 15.0))
 
     def __call__(self, k: int, _theta: float, _v: float) -> float:
@@ -127,7 +159,9 @@ class Saturated:
 def scenarios(name: str, n: int) -> dict[str, Callable[[], Feedback]]:
     """Return the scenarios of a set: fresh feedback laws by name."""
     linear = name == "T"
-    pull = {"T": (20.0, 0.1), "S": (100.0 / 6.5, 0.1), "R": (100.0 / 6.5, 0.1)}.get(name, (50.0 / 6.5, 0.3))
+    pull = {"T": (20.0, 0.1), "S": (100.0 / 6.5, 0.1), "R": (100.0 / 6.5, 0.1)}.get(
+        name, (50.0 / 6.5, 0.3)
+    )
     return {
         "reversals": lambda: SpeedLoop(n, 1, 0.05 if linear else 1.0),
         "stick-slip": lambda: Pull(*pull),
@@ -136,7 +170,9 @@ def scenarios(name: str, n: int) -> dict[str, Callable[[], Feedback]]:
 
 
 def solve(plant: Plant, feedback: Feedback, n: int, rtol: float = 1e-12) -> tuple[Array, Array]:
-    """Return (states at 0..n, voltages of the n steps); the solver is restarted at every change of the input."""
+    """Return (states at 0..n, voltages of the n steps); the solver is restarted at every change of
+    the input.
+    """
     x = np.zeros((n + 1, 3))
     u = np.empty(n)
     atol = rtol * np.array([1e-2, 1e-2, 1e-2 * plant.scale])
@@ -158,7 +194,9 @@ def solve(plant: Plant, feedback: Feedback, n: int, rtol: float = 1e-12) -> tupl
 
 
 def rk4(plant: Plant, volts: float, seconds: float, h: float = 0.25e-3) -> Array:
-    """Return the state after explicit classical Runge-Kutta steps under a constant voltage; NaN after an overflow."""
+    """Return the state after explicit classical Runge-Kutta steps under a constant voltage; NaN
+    after an overflow.
+    """
     drive, x = plant.gain * min(max(volts, -24.0), 24.0), [0.0, 0.0, 0.0]
 
     def stage(slope: Sequence[float], part: float) -> list[float]:
@@ -170,7 +208,10 @@ def rk4(plant: Plant, volts: float, seconds: float, h: float = 0.25e-3) -> Array
             k2 = stage(k1, h / 2)
             k3 = stage(k2, h / 2)
             k4 = stage(k3, h)
-            x = [a + h / 6 * (p + 2 * q + 2 * r + s) for a, p, q, r, s in zip(x, k1, k2, k3, k4, strict=True)]
+            x = [
+                a + h / 6 * (p + 2 * q + 2 * r + s)
+                for a, p, q, r, s in zip(x, k1, k2, k3, k4, strict=True)
+            ]
     except OverflowError:
         return np.full(3, math.nan)
     return np.array(x)

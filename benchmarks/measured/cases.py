@@ -23,7 +23,9 @@ INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
 @dataclass(frozen=True)
 class Run:
-    """One diagnosis: the question, the sets of effects that count as right, the result; further numbers with their names."""
+    """One diagnosis: the question, the sets of effects that count as right, the result; further
+    numbers with their names.
+    """
 
     name: str
     question: str
@@ -38,15 +40,23 @@ class Run:
         """The result in a few words."""
         if self.found.verdict == "named":
             tied = {name for tie in self.found.ties for name in tie}
-            return " + ".join(_with_rivals(e.name, self.found.ties if e.name in tied else ()) for e in self.found.effects)
+            return " + ".join(
+                _with_rivals(e.name, self.found.ties if e.name in tied else ())
+                for e in self.found.effects
+            )
         if self.found.verdict == "tie":
             return "tie of " + ", ".join(" / ".join(tie) for tie in self.found.ties)
         return self.found.verdict.replace("_", " ")
 
     @property
     def right(self) -> bool:
-        """True if the effects named are one of the sets that count as right, or may be by the ties of their classes."""
-        each = [{e.name, *(name for tie in self.found.ties if e.name in tie for name in tie)} for e in self.found.effects]
+        """True if the effects named are one of the sets that count as right, or may be by the ties
+        of their classes.
+        """
+        each = [
+            {e.name, *(name for tie in self.found.ties if e.name in tie for name in tie)}
+            for e in self.found.effects
+        ]
         return any(frozenset(names) in self.wanted for names in product(*each))
 
 
@@ -56,7 +66,9 @@ def _with_rivals(name: str, ties: Sequence[Sequence[str]]) -> str:
 
 
 def declared(kind: str, parameters: dict[str, float], output: str = "rad", **more: Any) -> Model:
-    """Return a model with Coulomb friction; its bounds are those that a model file without bounds has."""
+    """Return a model with Coulomb friction; its bounds are those that a model file without bounds
+    has.
+    """
     tables = {
         "friction": "coulomb",
         "parameters": parameters,
@@ -72,11 +84,13 @@ def taken(model: Model, entries: Sequence[Entry]) -> list[Record]:
     return records_from_arrays(model, [(name, t, u, y) for name, t, u, y, _ in entries])
 
 
-# -- EMPS ----------------------------------------------------------------------------------------------------------------
+# -- EMPS ------------------------------------------------------------------------------------------
 
 
 def emps(tell: Callable[[str], None]) -> Iterator[Run]:
-    """A linear axis whose friction differs by direction: the model has viscous and symmetric Coulomb friction."""
+    """A linear axis whose friction differs by direction: the model has viscous and symmetric
+    Coulomb friction.
+    """
     [entry] = measured.emps()
     model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": entry[4]["gain"]}, "m")
     records = taken(model, [entry])
@@ -86,24 +100,45 @@ def emps(tell: Callable[[str], None]) -> Iterator[Run]:
     assert whole is not None
     [row], [trace] = whole.records, whole.traces
     numbers = {
-        "open loop over the whole record, rms error": f"{1e3 * row.rms_before:.2f} mm before, {1e3 * row.rms_after:.2f} mm after",
+        "open loop over the whole record, rms error": (
+            f"{1e3 * row.rms_before:.2f} mm before, {1e3 * row.rms_after:.2f} mm after"
+        ),
         "FIT over the whole record": f"{row.fit_before:.1f} % before, {row.fit_after:.1f} % after",
     }
     if whole.refitted:
-        numbers["the same with the parameters of the segments"] = f"{1e3 * whole.horizons[-1].segments:.2f} mm"
-    wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}), frozenset({"asymmetric_viscous"}))
+        numbers["the same with the parameters of the segments"] = (
+            f"{1e3 * whole.horizons[-1].segments:.2f} mm"
+        )
+    wanted = (
+        frozenset({"bias"}),
+        frozenset({"asymmetric_coulomb"}),
+        frozenset({"asymmetric_viscous"}),
+    )
     data = {
-        "time": trace.time, "measured": trace.measured, "before": trace.before, "after": trace.after,
+        "time": trace.time,
+        "measured": trace.measured,
+        "before": trace.before,
+        "after": trace.after,
         "rmse": {"before": row.rms_before, "after": row.rms_after},
-    }  # fmt: skip
-    yield Run("EMPS", "viscous and symmetric Coulomb friction given", wanted, tuple(records), found, numbers, data)
+    }
+    yield Run(
+        "EMPS",
+        "viscous and symmetric Coulomb friction given",
+        wanted,
+        tuple(records),
+        found,
+        numbers,
+        data,
+    )
 
 
-# -- XL330 ---------------------------------------------------------------------------------------------------------------
+# -- XL330 -----------------------------------------------------------------------------------------
 
 
 def xl330(tell: Callable[[str], None]) -> Iterator[Run]:
-    """A pendulum whose weight is missing from the model: half a kilogram at 0.1 m, at four gains of its position loop."""
+    """A pendulum whose weight is missing from the model: half a kilogram at 0.1 m, at four gains of
+    its position loop.
+    """
     model = declared("voltage", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1})
     records = taken(model, measured.xl330())
     tell("xl330")
@@ -118,7 +153,7 @@ def xl330(tell: Callable[[str], None]) -> Iterator[Run]:
     yield Run("XL330", "gravity hidden", wanted, tuple(records), found, numbers)
 
 
-# -- Go1 -----------------------------------------------------------------------------------------------------------------
+# -- Go1 -------------------------------------------------------------------------------------------
 
 ARM = 0.15  # m
 
@@ -137,33 +172,52 @@ def go1(tell: Callable[[str], None]) -> Iterator[Run]:
         loaded = taken(known, entries)
         tell(f"go1 with {mass:g} kg")
         found = diagnose(known, loaded)
-        numbers = {"inertia": f"{found.parameters['J'].value:.3g} kg·m²" if found.parameters else "–"}
+        numbers = {
+            "inertia": f"{found.parameters['J'].value:.3g} kg·m²" if found.parameters else "–"
+        }
         data: dict[str, Any] = {"mass": mass}
         weight = next((e for e in found.effects if e.name == "gravity"), None)
         if weight is not None:
             data |= {"A": weight.parameters["amplitude"], "J": found.parameters["J"]}
             gear = mass * 9.81 * ARM / weight.parameters["amplitude"].value
             numbers["weight by the arm over what was found"] = f"{gear:.2f}"
-        numbers["with the inertia of the load and bounds of 60 % given"] = _warned(mass, own, entries)
-        yield Run(f"Go1, {mass:g} kg", "fitted without a load", (frozenset({"gravity"}),), tuple(loaded), found, numbers, data)
+        numbers["with the inertia of the load and bounds of 60 % given"] = _warned(
+            mass, own, entries
+        )
+        yield Run(
+            f"Go1, {mass:g} kg",
+            "fitted without a load",
+            (frozenset({"gravity"}),),
+            tuple(loaded),
+            found,
+            numbers,
+            data,
+        )
 
 
 def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str:
-    """Return the findings of the plausibility check if mass and arm are known and the torque is taken for that of the joint."""
+    """Return the findings of the plausibility check if mass and arm are known and the torque is
+    taken for that of the joint.
+    """
     inertia = mass * ARM**2 + own["J"]
     bounds = {"J": [0.6 * inertia, 1.6 * inertia], "a2": [0.0, 1.0], "Fc": [0.0, 1.0]}
-    model = declared("torque", {"J": inertia, "a2": own["a2"], "Fc": own["coulomb.Fc"]}, bounds=bounds)
+    model = declared(
+        "torque", {"J": inertia, "a2": own["a2"], "Fc": own["coulomb.Fc"]}, bounds=bounds
+    )
     said = check(model, taken(model, entries))
     return "; ".join((*said.proposals, *said.findings)) or "nothing"
 
 
-# -- ODrive --------------------------------------------------------------------------------------------------------------
+# -- ODrive ----------------------------------------------------------------------------------------
 
-GONE_BELOW, SMALLER_BELOW = 0.05, 0.5  # ripple over that without compensation, below which it is gone, much smaller
+# ripple over that without compensation, below which it is gone, much smaller
+GONE_BELOW, SMALLER_BELOW = 0.05, 0.5
 
 
 def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
-    """A brushless motor turned slowly, its cogging compensated or not; the current is the input, the position the output."""
+    """A brushless motor turned slowly, its cogging compensated or not; the current is the input,
+    the position the output.
+    """
     plain = math.nan  # ripple without the compensation
     for compensated in (False, True):
         model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
@@ -175,32 +229,49 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
         ripple = float(np.sqrt(np.mean([_ripple(t, y) ** 2 for _, t, _, y, _ in entries])))
         numbers = {"ripple of the position, rms": f"{1e3 * ripple / (2 * math.pi):.2f}e-3 turns"}
         if compensated:
-            numbers["cogging in the motion"] = f"{ripple / plain:.0%} of that without compensation: {_weakened(ripple / plain)}"
+            numbers["cogging in the motion"] = (
+                f"{ripple / plain:.0%} of that without compensation: {_weakened(ripple / plain)}"
+            )
         plain = ripple
         periods, amplitude, share = _strongest(records, model.parameters["b"])
         seen = f"{1e3 * amplitude:.2f}e-3 N·m, {periods} in a turn, {share:.0%} of its variance"
         numbers["strongest wave of the motor's torque along the position"] = seen
-        wanted = (frozenset({"cogging"}), *([frozenset[str]()] if compensated else []))  # a compensated effect may be invisible
+        # a compensated effect may be invisible
+        wanted = (frozenset({"cogging"}), *([frozenset[str]()] if compensated else []))
         data = {"compensated": compensated, "gain": model.parameters["b"]}
         question = "cogging hidden, compensated by the drive" if compensated else "cogging hidden"
-        yield Run(f"ODrive, compensation {word}", question, wanted, tuple(records), found, numbers, data)
+        yield Run(
+            f"ODrive, compensation {word}", question, wanted, tuple(records), found, numbers, data
+        )
 
 
 def _weakened(ratio: float) -> str:
     """Return in words how much of an effect is left."""
-    return "gone" if ratio < GONE_BELOW else "much smaller, not gone" if ratio < SMALLER_BELOW else "not compensated"
+    return (
+        "gone"
+        if ratio < GONE_BELOW
+        else "much smaller, not gone"
+        if ratio < SMALLER_BELOW
+        else "not compensated"
+    )
 
 
 def _ripple(t: Array, y: Array) -> float:
-    """Return the rms deviation of the position from a cubic in time; the loop's own start and end are left out."""
+    """Return the rms deviation of the position from a cubic in time; the loop's own start and end
+    are left out.
+    """
     inside = slice(200, -200)
     x = t[inside] - t[inside].mean()
     return float(np.std(y[inside] - np.polyval(np.polyfit(x, y[inside], 3), x)))
 
 
 def _strongest(records: Sequence[Record], gain: float) -> tuple[int, float, float]:
-    """Return the wave of the torque along the position that explains most: periods in a turn, amplitude, share."""
-    theta, torque = (np.concatenate(x) for x in zip(*(torque_along(r, gain) for r in records), strict=True))
+    """Return the wave of the torque along the position that explains most: periods in a turn,
+    amplitude, share.
+    """
+    theta, torque = (
+        np.concatenate(x) for x in zip(*(torque_along(r, gain) for r in records), strict=True)
+    )
     torque = torque - torque.mean()
     best = (0, 0.0, 0.0)
     for n in range(1, 61):

@@ -11,7 +11,18 @@ import numpy as np
 from cases import Run, torque_along
 from matplotlib import rc_context
 
-from bristle.common.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
+from bristle.common.drawing import (
+    BLUE,
+    DEGREES,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    STYLE,
+    new_figure,
+    set_title,
+    thin,
+)
 from bristle.diagnosis.preparation import SEGMENT_SECONDS
 from bristle.diagnosis.report.figures import worst_part
 
@@ -61,15 +72,26 @@ def _errors(ax: Any, run: Run) -> None:
     assert found is not None
     trace, part = found
     time = trace.time[part]
-    first = np.arange(len(trace.time)) % round(SEGMENT_SECONDS / float(np.median(np.diff(trace.time)))) == 0
+    first = (
+        np.arange(len(trace.time)) % round(SEGMENT_SECONDS / float(np.median(np.diff(trace.time))))
+        == 0
+    )
     added = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
-    for simulated, colour, label in ((trace.before, ORANGE, "refitted model"), (trace.after, BLUE, added)):
-        error = np.where(first, np.nan, simulated - trace.measured)  # no line from one segment to the next
+    for simulated, colour, label in (
+        (trace.before, ORANGE, "refitted model"),
+        (trace.after, BLUE, added),
+    ):
+        # no line from one segment to the next
+        error = np.where(first, np.nan, simulated - trace.measured)
         ax.plot(time, DEGREES * error[part], color=colour, label=label)
     ax.axhline(0, color=INK, linewidth=0.7)
     ax.margins(y=0.25)
     ax.legend(loc="upper left", ncols=2)
-    set_title(ax, f"{trace.name}, simulated less measured where it was worst; each segment of 0.4 s starts anew")
+    set_title(
+        ax,
+        f"{trace.name}, simulated less measured where it was worst; each segment of 0.4 s starts"
+        " anew",
+    )
     ax.set_xlabel("time, s")
     ax.set_ylabel("error, deg")
     ax.set_xlim(time[0], time[-1])
@@ -82,7 +104,9 @@ def _bars(ax: Any, each: Any, number: int) -> None:
     for row, c in enumerate(ranked):
         gain = max(c.gain, 0.0)
         ax.barh(row, gain, color=NAMED if c.name == each.added else OTHER, height=0.62)
-        ax.text(gain + 0.015 * right, row, f"{c.name}  {c.gain:.0f}", va="center", fontsize=8, color=INK)
+        ax.text(
+            gain + 0.015 * right, row, f"{c.name}  {c.gain:.0f}", va="center", fontsize=8, color=INK
+        )
     ax.set_xlim(0, right)
     ax.set_ylim(len(ranked) - 0.5, -0.6)
     ax.set_yticks([])
@@ -93,19 +117,24 @@ def _bars(ax: Any, each: Any, number: int) -> None:
 
 
 def go1(runs: Sequence[Run]) -> Any:
-    """Weight and inertia that were found, over the load, with a line through the origin and through the unloaded motor."""
+    """Weight and inertia that were found, over the load, with a line through the origin and through
+    the unloaded motor.
+    """
     figure = new_figure(8.6, 2.9)
     axes = figure.subplots(1, 2)
     figure.subplots_adjust(wspace=0.26, left=0.09, bottom=0.2)
     known = [run for run in runs if "A" in run.data]
     mass = np.array([run.data["mass"] for run in known])
     for ax, key, factor, label, title in (
-        (axes[0], "A", 1.0, "A, N·m", "amplitude of gravity"), (axes[1], "J", 1e3, "J, 10⁻³ kg·m²", "inertia beside it"),
-    ):  # fmt: skip
+        (axes[0], "A", 1.0, "A, N·m", "amplitude of gravity"),
+        (axes[1], "J", 1e3, "J, 10⁻³ kg·m²", "inertia beside it"),
+    ):
         found = [run.data[key] for run in known]
         value = factor * np.array([e.value for e in found])
         error = factor * np.array([[e.value - e.ci95[0], e.ci95[1] - e.value] for e in found]).T
-        slope, offset = np.polyfit(mass, value, 1) if key == "J" else (float(mass @ value / (mass @ mass)), 0.0)
+        slope, offset = (
+            np.polyfit(mass, value, 1) if key == "J" else (float(mass @ value / (mass @ mass)), 0.0)
+        )
         line = np.array([0.0, 3.2])
         ax.plot(line, offset + slope * line, color=GREY, linewidth=1.0)
         ax.errorbar(mass, value, yerr=error, fmt="o", color=BLUE, capsize=3, markersize=5)
@@ -118,7 +147,9 @@ def go1(runs: Sequence[Run]) -> Any:
 
 
 def odrive(runs: Sequence[Run]) -> Any:
-    """Torque of the motor along the position, with and without compensation, and the cogging that was named."""
+    """Torque of the motor along the position, with and without compensation, and the cogging that
+    was named.
+    """
     figure = new_figure(8.6, 3.1)
     axes = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(wspace=0.08, left=0.09, bottom=0.19)
@@ -128,12 +159,21 @@ def odrive(runs: Sequence[Run]) -> Any:
             theta, torque = torque_along(record, run.data["gain"])
             i = thin(len(theta), 1500)
             label = f"motor, {len(run.records)} records" if record is run.records[0] else None
-            ax.plot(DEGREES * theta[i], 1e3 * torque[i], color=ORANGE, linewidth=0.9, alpha=0.8, label=label)
+            ax.plot(
+                DEGREES * theta[i],
+                1e3 * torque[i],
+                color=ORANGE,
+                linewidth=0.9,
+                alpha=0.8,
+                label=label,
+            )
             middle.append(float(np.mean(torque)))
         for e in run.found.effects:
             if e.name == "cogging":
                 p = {name: each.value for name, each in e.parameters.items()}
-                theta = np.linspace(min(r.y.min() for r in run.records), max(r.y.max() for r in run.records), 800)
+                theta = np.linspace(
+                    min(r.y.min() for r in run.records), max(r.y.max() for r in run.records), 800
+                )
                 angle = p["periods"] * theta
                 cogging = p["amplitude"] * np.sin(angle + p["phase"])
                 cogging += p.get("amplitude2", 0.0) * np.sin(2 * angle + p.get("phase2", 0.0))
@@ -141,7 +181,9 @@ def odrive(runs: Sequence[Run]) -> Any:
                 ax.plot(DEGREES * theta, 1e3 * (np.mean(middle) - cogging), color=BLUE, label=label)
         ax.margins(y=0.28)
         ax.legend(loc="upper left", fontsize=8)
-        set_title(ax, f"compensation {'on' if run.data['compensated'] else 'off'}; said: {run.said}")
+        set_title(
+            ax, f"compensation {'on' if run.data['compensated'] else 'off'}; said: {run.said}"
+        )
         ax.set_xlabel("position, deg")
     axes[0].set_ylabel("torque, 10⁻³ N·m")
     return figure

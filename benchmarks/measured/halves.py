@@ -1,4 +1,5 @@
-"""EMPS by halves: a diagnosis of one half of the record, its model simulated in open loop over the other half.
+"""EMPS by halves: a diagnosis of one half of the record, its model simulated in open loop over the
+other half.
 
 python benchmarks/measured/halves.py
 """
@@ -29,7 +30,9 @@ def main() -> int:
         assert augmented is not None
         [row] = validate(augmented.model, [other]).records
         names = ", ".join(e.name for e in found.effects) or "nothing"
-        print(f"{names} named; {name} half: {1e3 * row.rms:.2f} mm rms, FIT {row.fit_percent:.2f} %")
+        print(
+            f"{names} named; {name} half: {1e3 * row.rms:.2f} mm rms, FIT {row.fit_percent:.2f} %"
+        )
     return 0
 
 

@@ -29,7 +29,10 @@ FIRST_CHECK = f"{CHECKS[0]:g}"
 PLANTS_WITHOUT_TRUTH = ("L0", "L1", "GMS")
 WITH_TRUTH = ("S", "R")
 COST_STEPS = 60_000
-STARTED = "five on each record, of those parameters that a method has a start of (`self_starting_ekf`: of c alone)"
+STARTED = (
+    "five on each record, of those parameters that a method has a start of (`self_starting_ekf`: of"
+    " c alone)"
+)
 COMMAND = "`scripts/study`"
 
 
@@ -38,12 +41,19 @@ def two(values: Iterable[float | None], form: str = ".1f") -> str:
     numbers = sorted(math.inf if x is None or not math.isfinite(x) else x for x in values)
     if not numbers:
         return "-"
-    return " / ".join("never" if math.isinf(x) else f"{x:{form}}" for x in (statistics.median_high(numbers), numbers[-1]))
+    return " / ".join(
+        "never" if math.isinf(x) else f"{x:{form}}"
+        for x in (statistics.median_high(numbers), numbers[-1])
+    )
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table in markdown."""
-    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)]
+    lines = [
+        f"| {' | '.join(head)} |",
+        f"|{'---|' * len(head)}",
+        *(f"| {' | '.join(row)} |" for row in rows),
+    ]
     return "\n".join(lines)
 
 
@@ -51,14 +61,20 @@ class Results:
     """All files of results, by kind and plant."""
 
     def __init__(self, found: Mapping[Any, Path]) -> None:
-        self.found = {job: json.loads(path.read_text(encoding="utf-8")) for job, path in found.items()}
+        self.found = {
+            job: json.loads(path.read_text(encoding="utf-8")) for job, path in found.items()
+        }
 
     def of(self, kind: str, plant: str) -> list[Json]:
         """Return the results of one kind on one plant."""
-        return [result for job, result in self.found.items() if (job.kind, job.plant) == (kind, plant)]
+        return [
+            result for job, result in self.found.items() if (job.kind, job.plant) == (kind, plant)
+        ]
 
     def of_best(self, plant: str) -> list[Json]:
-        """Return the results of the best method from the encoder, also on the records that only it is run on."""
+        """Return the results of the best method from the encoder, also on the records that only it
+        is run on.
+        """
         return [*self.of("record", plant), *self.of("best", plant)]
 
     def methods(self, sensor: str, plant: str, method: str) -> list[Json]:
@@ -73,7 +89,9 @@ def largest(entry: Json, check: str) -> float:
 
 def worst(errors: Mapping[str, float]) -> float:
     """Return the largest of some errors; none at all is not a number."""
-    return max((abs(x) if math.isfinite(x) else math.inf for x in errors.values()), default=math.nan)
+    return max(
+        (abs(x) if math.isfinite(x) else math.inf for x in errors.values()), default=math.nan
+    )
 
 
 def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: str) -> list[float]:
@@ -81,7 +99,11 @@ def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: st
     out = []
     for result in found:
         mse = result[sensor][method]["checks"][check]["mse"]
-        out.append(mse / result["baselines"][over]["mse"] if mse is not None and math.isfinite(mse) else math.inf)
+        out.append(
+            mse / result["baselines"][over]["mse"]
+            if mse is not None and math.isfinite(mse)
+            else math.inf
+        )
     return out
 
 
@@ -91,39 +113,64 @@ def identification(results: Results, sensor: str) -> str:
     head = ["method", "estimates", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
     rows = []
     for method in estimators():
-        cells = [method, "all six" if estimated(method) == list(ESTIMATED_PARAMETERS) else ", ".join(estimated(method))]
+        cells = [
+            method,
+            (
+                "all six"
+                if estimated(method) == list(ESTIMATED_PARAMETERS)
+                else ", ".join(estimated(method))
+            ),
+        ]
         for plant in WITH_TRUTH:
             entries = results.methods(sensor, plant, method)
             cells.append(two(entry["settling_s"] for entry in entries))
-            cells += [two((largest(entry, check) for entry in entries), ".3g") for check in (FIRST_CHECK, LAST_CHECK)]
+            cells += [
+                two((largest(entry, check) for entry in entries), ".3g")
+                for check in (FIRST_CHECK, LAST_CHECK)
+            ]
         rows.append(cells)
     return table([*head, "failed"], [[*row, failures(results, sensor, row[0])] for row in rows])
 
 
 def failures(results: Results, sensor: str, method: str) -> str:
     """Return how many runs ended early, of how many."""
-    entries = [result[sensor][method] for job, result in results.found.items() if job.kind == "record"]
+    entries = [
+        result[sensor][method] for job, result in results.found.items() if job.kind == "record"
+    ]
     return f"{sum(entry['failure'] is not None for entry in entries)} of {len(entries)}"
 
 
 def bias(results: Results, sensor: str) -> str:
     """Return the table of the mean signed error of each parameter at the end."""
-    head = ["method", *(f"{plant}: {name}" for plant in WITH_TRUTH for name in ESTIMATED_PARAMETERS)]
+    head = [
+        "method",
+        *(f"{plant}: {name}" for plant in WITH_TRUTH for name in ESTIMATED_PARAMETERS),
+    ]
     rows = []
     for method in estimators():
         cells = [method]
         for plant in WITH_TRUTH:
             for name in ESTIMATED_PARAMETERS:
-                errors = [entry["checks"][LAST_CHECK]["errors"].get(name) for entry in results.methods(sensor, plant, method)]
+                errors = [
+                    entry["checks"][LAST_CHECK]["errors"].get(name)
+                    for entry in results.methods(sensor, plant, method)
+                ]
                 numbers = [x for x in errors if x is not None and math.isfinite(x)]
-                cells.append(f"{statistics.mean(numbers):+.2f}" if numbers and len(numbers) == len(errors) else "-")
+                cells.append(
+                    f"{statistics.mean(numbers):+.2f}"
+                    if numbers and len(numbers) == len(errors)
+                    else "-"
+                )
         rows.append(cells)
     return table(head, rows)
 
 
 def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) -> str:
     """Return the table of validation errors over a baseline's."""
-    head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (FIRST_CHECK, LAST_CHECK))]
+    head = [
+        "method",
+        *(f"{plant}, {check} s" for plant in plants for check in (FIRST_CHECK, LAST_CHECK)),
+    ]
     rows = []
     for method in estimators():
         found = [
@@ -150,9 +197,14 @@ def starts(results: Results) -> str:
     """Return the table of start values that are far off."""
     rows = []
     for method in estimators():
-        counts = [[r[method] for r in results.of("starts", plant) if method in r] for plant in WITH_TRUTH]
+        counts = [
+            [r[method] for r in results.of("starts", plant) if method in r] for plant in WITH_TRUTH
+        ]
         if all(counts):
-            cells = [f"{sum(r['failed'] for r in each)} of {sum(r['runs'] for r in each)}" for each in counts]
+            cells = [
+                f"{sum(r['failed'] for r in each)} of {sum(r['runs'] for r in each)}"
+                for each in counts
+            ]
             rows.append([method, *cells])
     return table(["method", *WITH_TRUTH], rows)
 
@@ -163,13 +215,23 @@ def bodies(results: Results) -> str:
     for method in estimators():
         cells = [method]
         for sensor in SENSOR_NAMES:
-            cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".3g"))
+            cells.append(
+                two(
+                    (
+                        worst(result[sensor][method]["errors"])
+                        for result in results.of("bodies", "Z")
+                    ),
+                    ".3g",
+                )
+            )
         rows.append(cells)
     return table(["method", *SENSOR_NAMES], rows)
 
 
 def cost() -> str:
-    """Return the table of cost per step, measured now, side by side: the least of several runs of each."""
+    """Return the table of cost per step, measured now, side by side: the least of several runs of
+    each.
+    """
     data = record("S", 1, 1, COST_STEPS * RECORD_STEP)
     inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
     instances = {method: Native(observer_program(method)) for method in estimators()}
@@ -183,7 +245,10 @@ def cost() -> str:
     unit = best["bastin_gevers"]
     return table(
         ["method", "us a step", "over bastin_gevers"],
-        [[method, f"{1e6 * seconds / COST_STEPS:.2f}", f"{seconds / unit:.1f}"] for method, seconds in best.items()],
+        [
+            [method, f"{1e6 * seconds / COST_STEPS:.2f}", f"{seconds / unit:.1f}"]
+            for method, seconds in best.items()
+        ],
     )
 
 
@@ -191,14 +256,32 @@ def goals(results: Results) -> str:
     """Return what the best method reaches, with counts and bounds."""
     rows: list[list[str]] = []
 
-    def add(what: str, values: Sequence[float], holds: Callable[[float], bool], goal: str, form: str = ".2f") -> None:
+    def add(
+        what: str,
+        values: Sequence[float],
+        holds: Callable[[float], bool],
+        goal: str,
+        form: str = ".2f",
+    ) -> None:
         missed = sum(not holds(x) for x in values)
-        rows.append([what, two(values, form), goal, f"{missed} of {len(values)}, {100 * upper_bound(missed, len(values)):.1f} %"])
+        rows.append(
+            [
+                what,
+                two(values, form),
+                goal,
+                f"{missed} of {len(values)}, {100 * upper_bound(missed, len(values)):.1f} %",
+            ]
+        )
 
     for plant in WITH_TRUTH:
         entries = [result["encoder"][BEST] for result in results.of_best(plant)]
-        add(f"{plant}: time to 5 %, s", [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
-            lambda x: x <= 10, "median <= 6, worst <= 10", ".1f")  # fmt: skip
+        add(
+            f"{plant}: time to 5 %, s",
+            [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
+            lambda x: x <= 10,
+            "median <= 6, worst <= 10",
+            ".1f",
+        )
         add(
             f"{plant}: largest error at {FIRST_CHECK} s, %",
             [largest(e, FIRST_CHECK) for e in entries],
@@ -206,32 +289,73 @@ def goals(results: Results) -> str:
             "<= 0.3",
             ".2g",
         )
-        add(f"{plant}: MSE, %", [e["checks"][FIRST_CHECK]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
+        add(
+            f"{plant}: MSE, %",
+            [e["checks"][FIRST_CHECK]["mse"] for e in entries],
+            lambda x: x <= 1e-4,
+            "<= 1e-4",
+            ".1e",
+        )
     for plant in PLANTS_WITHOUT_TRUTH:
-        add(f"{plant}: MSE over floor at {FIRST_CHECK} s", ratios(results.of_best(plant), "encoder", BEST, FIRST_CHECK, "modified"),
-            lambda x: x <= 1.5, "worst <= 1.5")  # fmt: skip
+        add(
+            f"{plant}: MSE over floor at {FIRST_CHECK} s",
+            ratios(results.of_best(plant), "encoder", BEST, FIRST_CHECK, "modified"),
+            lambda x: x <= 1.5,
+            "worst <= 1.5",
+        )
     for plant in WITH_TRUTH:
         back = [r[BEST]["back_s"] for r in results.of("change", plant)]
-        add(f"{plant}: load doubled, back within 5 %, s", [math.inf if x is None else x for x in back], lambda x: x <= 10,
-            "worst <= 10", ".1f")  # fmt: skip
+        add(
+            f"{plant}: load doubled, back within 5 %, s",
+            [math.inf if x is None else x for x in back],
+            lambda x: x <= 10,
+            "worst <= 10",
+            ".1f",
+        )
         counts = [r[BEST] for r in results.of("starts", plant)]
         failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
-        rows.append([f"{plant}: starts ten times off, not within 5 % at {FIRST_CHECK} s", f"{failed} of {n}", "0",
-                     f"{failed} of {n}, {100 * upper_bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
-    false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH) for result in results.of_best(plant)]
-    rows.append(["changes found on unchanged records", f"{sum(false)} of {len(false)}", "<= 1 of 60",
-                 f"{sum(false)} of {len(false)}, {100 * upper_bound(sum(false), len(false)):.1f} %"])  # fmt: skip
+        rows.append(
+            [
+                f"{plant}: starts ten times off, not within 5 % at {FIRST_CHECK} s",
+                f"{failed} of {n}",
+                "0",
+                f"{failed} of {n}, {100 * upper_bound(failed, n) if n else 100:.1f} %",
+            ]
+        )
+    false = [
+        result["changes"] > 0
+        for plant in (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH)
+        for result in results.of_best(plant)
+    ]
+    rows.append(
+        [
+            "changes found on unchanged records",
+            f"{sum(false)} of {len(false)}",
+            "<= 1 of 60",
+            f"{sum(false)} of {len(false)}, {100 * upper_bound(sum(false), len(false)):.1f} %",
+        ]
+    )
     for plant in WITH_TRUTH:
         for second in BOUNDS:
             reached = two(efficiency(results, plant, f"{second:g}"))
-            rows.append([f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, by parameter", reached, "aim: 3", "-"])
+            rows.append(
+                [
+                    f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, by parameter",
+                    reached,
+                    "aim: 3",
+                    "-",
+                ]
+            )
     return table(["", "median / worst", "goal", "missed, 95 % bound"], rows)
 
 
 def efficiency(results: Results, plant: str, second: str) -> list[float]:
     """Return for each parameter the rms over the records of its error over its bound."""
     found = results.of("bound", plant)
-    scaled = [[(e / b) ** 2 for e, b in zip(r["errors"][second], r["bound"][second], strict=True)] for r in found]
+    scaled = [
+        [(e / b) ** 2 for e, b in zip(r["errors"][second], r["bound"][second], strict=True)]
+        for r in found
+    ]
     return [math.sqrt(statistics.mean(column)) for column in zip(*scaled, strict=True)]
 
 
@@ -239,7 +363,11 @@ def figure_times(results: Results, out: Path) -> None:
     """Draw the times to 5 %, a dot a record."""
 
     def settles(method: str) -> bool:
-        return any(e["settling_s"] is not None for plant in WITH_TRUTH for e in results.methods("encoder", plant, method))
+        return any(
+            e["settling_s"] is not None
+            for plant in WITH_TRUTH
+            for e in results.methods("encoder", plant, method)
+        )
 
     names = [method for method in estimators() if settles(method)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
@@ -247,14 +375,33 @@ def figure_times(results: Results, out: Path) -> None:
         for plant, mark, shift in zip(WITH_TRUTH, "os", (0.12, -0.12), strict=True):
             times = [e["settling_s"] for e in results.methods("encoder", plant, method)]
             there = [x for x in times if x is not None]
-            axes.plot(there, np.full(len(there), row + shift), mark, ms=4, alpha=0.6, color="C0" if plant == "S" else "C1")
+            axes.plot(
+                there,
+                np.full(len(there), row + shift),
+                mark,
+                ms=4,
+                alpha=0.6,
+                color="C0" if plant == "S" else "C1",
+            )
             if len(there) < len(times):
                 never = f"{plant}: {len(times) - len(there)} never"
-                axes.text(1.01, row + shift, never, fontsize=7, va="center", transform=axes.get_yaxis_transform())
+                axes.text(
+                    1.01,
+                    row + shift,
+                    never,
+                    fontsize=7,
+                    va="center",
+                    transform=axes.get_yaxis_transform(),
+                )
     label = "time until all parameters that it estimates stay within 5 % (s), encoder"
     axes.set(xscale="log", xlabel=label, yticks=range(len(names)))
     counts = [len(estimated(name)) for name in reversed(names)]
-    axes.set_yticklabels([f"{name} ({n} of {len(ESTIMATED_PARAMETERS)})" for name, n in zip(reversed(names), counts, strict=True)])
+    axes.set_yticklabels(
+        [
+            f"{name} ({n} of {len(ESTIMATED_PARAMETERS)})"
+            for name, n in zip(reversed(names), counts, strict=True)
+        ]
+    )
     axes.plot([], [], "o", color="C0", label="set S")
     axes.plot([], [], "s", color="C1", label="set R")
     axes.legend(loc="upper left", fontsize=8)
@@ -267,19 +414,34 @@ def figure_floor(results: Results, out: Path) -> None:
     """Draw the validation error over the floor on the plants that no observer's model contains."""
 
     def of(plant: str, method: str) -> list[float]:
-        return [x for x in ratios(results.of("record", plant), "encoder", method, FIRST_CHECK, "modified") if math.isfinite(x)]
+        return [
+            x
+            for x in ratios(results.of("record", plant), "encoder", method, FIRST_CHECK, "modified")
+            if math.isfinite(x)
+        ]
 
-    names = [method for method in estimators() if any(of(plant, method) for plant in PLANTS_WITHOUT_TRUTH)]
+    names = [
+        method
+        for method in estimators()
+        if any(of(plant, method) for plant in PLANTS_WITHOUT_TRUTH)
+    ]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
         for plant, shift in zip(PLANTS_WITHOUT_TRUTH, (0.2, 0.0, -0.2), strict=True):
             values = of(plant, method)
             axes.plot(
-                values, np.full(len(values), row + shift), ".", ms=5, alpha=0.6, color=f"C{PLANTS_WITHOUT_TRUTH.index(plant)}"
+                values,
+                np.full(len(values), row + shift),
+                ".",
+                ms=5,
+                alpha=0.6,
+                color=f"C{PLANTS_WITHOUT_TRUTH.index(plant)}",
             )
     axes.axvline(1.0, color="0.4", lw=0.8)
     axes.set(
-        xscale="log", xlabel=f"validation error over the 7-parameter floor after {FIRST_CHECK} s, encoder", yticks=range(len(names))
+        xscale="log",
+        xlabel=f"validation error over the 7-parameter floor after {FIRST_CHECK} s, encoder",
+        yticks=range(len(names)),
     )
     axes.set_yticklabels(list(reversed(names)))
     for i, plant in enumerate(PLANTS_WITHOUT_TRUTH):
@@ -335,9 +497,22 @@ def publish(found: Mapping[Any, Path], docs: Path) -> str:
         every = validation(results, sensor, "coulomb", (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH))
         parts += [f"## Validation error over viscous + Coulomb, {sensor}", every]
         parts += [f"## Mean error at {LAST_CHECK} s in %, {sensor}", bias(results, sensor)]
-    parts += ["## Normal load doubled at 60 s: seconds until within 5 % again (never: not in 30 s), encoder", changes(results)]
-    parts += [f"## Starts up to ten times off, {STARTED}: not within 5 % at {FIRST_CHECK} s, encoder", starts(results)]
-    parts += ["## Two bodies (Z): largest error at the end of 15 s in %", ABOUT_BODIES, bodies(results)]
+    parts += [
+        (
+            "## Normal load doubled at 60 s: seconds until within 5 % again (never: not in 30 s),"
+            " encoder"
+        ),
+        changes(results),
+    ]
+    parts += [
+        f"## Starts up to ten times off, {STARTED}: not within 5 % at {FIRST_CHECK} s, encoder",
+        starts(results),
+    ]
+    parts += [
+        "## Two bodies (Z): largest error at the end of 15 s in %",
+        ABOUT_BODIES,
+        bodies(results),
+    ]
     parts += ["## Cost", cost()]
     page = docs / "README.md"
     page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")

@@ -1,4 +1,5 @@
-"""The comparative study: every observer on every plant; tables and figures in docs/study (see scripts/study).
+"""The comparative study: every observer on every plant; tables and figures in docs/study (see
+scripts/study).
 
 python benchmarks/study/run.py                    # all of it; an interrupted run continues
 python benchmarks/study/run.py --seeds 2          # a part
@@ -19,7 +20,8 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
-os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
+# before numpy: one thread a worker
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -71,16 +73,26 @@ def plan(seeds: int) -> Iterator[Job]:
     first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
     known = tuple(TRUE_PARAMETERS)
     kinds = (
-        ("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)),
+        ("record", STUDIED, first),
+        ("best", STUDIED, again),
+        ("starts", known, first),
+        ("change", known, (*first, *again)),
         ("bound", known, (*first, *again)),
-    )  # fmt: skip
+    )
     for kind, plants, numbers in kinds:
-        yield from (Job(kind, plant, order, seed) for seed in numbers for plant in plants for order in ORDERS)
+        yield from (
+            Job(kind, plant, order, seed)
+            for seed in numbers
+            for plant in plants
+            for order in ORDERS
+        )
     yield from (Job("bodies", "Z", 1, seed) for seed in first)
 
 
 def results_folder(root: Path) -> Path:
-    """Return the folder for results of exactly these observers: results of other observers are kept apart."""
+    """Return the folder for results of exactly these observers: results of other observers are kept
+    apart.
+    """
     digest = hashlib.sha256(repr(fingerprint(observer_program())).encode()).hexdigest()[:12]
     return root / digest
 
@@ -88,7 +100,12 @@ def results_folder(root: Path) -> Path:
 def compute(seeds: int, out: Path, workers: int) -> None:
     """Compute what is missing, with a bar of progress."""
     todo = [job for job in plan(seeds) if not (out / job.name).exists()]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
         with Progress(*columns, console=Console(stderr=True)) as bar:
@@ -106,11 +123,17 @@ def compute(seeds: int, out: Path, workers: int) -> None:
 
 def main() -> int:
     """Compute, and write the pages."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes")
-    parser.add_argument("--out", type=filled_path, default=ROOT / "out" / "study", help="folder of the results")
-    parser.add_argument("--docs", type=filled_path, default=ROOT / "docs" / "study", help="folder of the pages")
+    parser.add_argument(
+        "--out", type=filled_path, default=ROOT / "out" / "study", help="folder of the results"
+    )
+    parser.add_argument(
+        "--docs", type=filled_path, default=ROOT / "docs" / "study", help="folder of the pages"
+    )
     parser.add_argument("--pages", action="store_true", help="only write the pages")
     given = parser.parse_args()
     if given.seeds < 1 or given.jobs < 1:

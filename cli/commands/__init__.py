@@ -1,4 +1,6 @@
-"""The commands, one file each; importing this package makes them known, in the order of the help."""
+"""The commands, one file each; importing this package makes them known, in the order of the
+help.
+"""
 
 from importlib import import_module
 

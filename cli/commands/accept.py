@@ -28,13 +28,20 @@ from bristle.cli.terminal import command_line, fraction
 
 @app.command(
     short_help="Store runs as references, with measured tolerances.",
-    epilog="Each scenario runs about a dozen times: with start values rounded otherwise, compiled otherwise, and with other "
-    "internal steps. What differs between these runs is what bristle compare allows. Exit code 0: all verdicts pass; 1: a verdict "
-    "failed, and the run is stored nevertheless; 2: an error.",
+    epilog=(
+        "Each scenario runs about a dozen times: with start values rounded otherwise, compiled"
+        " otherwise, and with other internal steps. What differs between these runs is what bristle"
+        " compare allows. Exit code 0: all verdicts pass; 1: a verdict failed, and the run is"
+        " stored nevertheless; 2: an error."
+    ),
 )
 def accept(
-    scenarios: Annotated[list[Path], scenario_argument("scenario files, or names from bristle list")],
-    out: Annotated[Path, typer.Option(help="folder for the baselines", metavar="FOLDER", parser=path_of)] = Path("baselines"),
+    scenarios: Annotated[
+        list[Path], scenario_argument("scenario files, or names from bristle list")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="folder for the baselines", metavar="FOLDER", parser=path_of)
+    ] = Path("baselines"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     set_: SetOption = None,
@@ -42,14 +49,18 @@ def accept(
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> int:
-    """Run scenarios and store each as FOLDER/SCENARIO: its file, signals, result.json, and measured tolerances."""
+    """Run scenarios and store each as FOLDER/SCENARIO: its file, signals, result.json, and measured
+    tolerances.
+    """
     from bristle.common.output import output_folder
     from bristle.harness.baseline import make_baseline, refuse_other, write_baseline
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.run import Options, check
 
     refuse_duplicates(scenarios)
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full=True, timeout=timeout)
+    options = Options(
+        int(fmi.value), kind.value, tuple(set_ or ()), seed, full=True, timeout=timeout
+    )
     passed = True
     with output_folder(out):
         checked = []
@@ -64,7 +75,11 @@ def accept(
             size = sum(path.stat().st_size for path in folder.iterdir())
             done = [run for run in found.runs if not run["why"]]
             verdict = found.result["verdict"]
-            print(f"{loaded.name:<24} {verdict:<4}  {folder}  {len(done)} repeated runs, {size / 1e6:.1f} MB", flush=True)
+            print(
+                f"{loaded.name:<24} {verdict:<4}  {folder}  {len(done)} repeated runs,"
+                f" {size / 1e6:.1f} MB",
+                flush=True,
+            )
             for run in found.runs:
                 if run["why"]:
                     print(f"  - left out, {run['name']}: {run['why']}", flush=True)

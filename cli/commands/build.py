@@ -29,19 +29,34 @@ class What(StrEnum):
 @app.command()
 def build(
     what: Annotated[What, typer.Argument(help="which FMU")] = What.all,
-    out: Annotated[Path, typer.Option(help="folder for the .fmu files", metavar="FOLDER", parser=path_of)] = Path(),
+    out: Annotated[
+        Path, typer.Option(help="folder for the .fmu files", metavar="FOLDER", parser=path_of)
+    ] = Path(),
     fmi: FmiOption = Fmi.two,
     kind: KindOption = Kind.native,
-    law: Annotated[str | None, typer.Option(help="a plant of one friction law", autocompletion=complete_law)] = None,
-    method: Annotated[str | None, typer.Option(help="an observer of one method", autocompletion=complete_method)] = None,
+    law: Annotated[
+        str | None, typer.Option(help="a plant of one friction law", autocompletion=complete_law)
+    ] = None,
+    method: Annotated[
+        str | None, typer.Option(help="an observer of one method", autocompletion=complete_method)
+    ] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...", autocompletion=complete_effects),
+        typer.Option(
+            help="effects of the plant, separated by commas",
+            metavar="NAME,...",
+            autocompletion=complete_effects,
+        ),
     ] = None,
-    encoder: Annotated[bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")] = True,
+    encoder: Annotated[
+        bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")
+    ] = True,
     platforms: Annotated[
         str,
-        typer.Option(help="host, all, or names such as win64,linux64; others than host need bristle[cross]", metavar="NAME,..."),
+        typer.Option(
+            help="host, all, or names such as win64,linux64; others than host need bristle[cross]",
+            metavar="NAME,...",
+        ),
     ] = "host",
     debug: DebugOption = False,
 ) -> None:
@@ -52,7 +67,10 @@ def build(
     asked = Choice(law, method, added, encoder, platforms)
     choices = {what.value: asked}
     if what is What.all:
-        plant, observer = replace(asked, method=None), replace(asked, law=None, effects=(), encoder=True)
+        plant, observer = (
+            replace(asked, method=None),
+            replace(asked, law=None, effects=(), encoder=True),
+        )
         choices = {"plant": plant, "observer": observer, "controller": Choice(platforms=platforms)}
     with fraction("build") as tell:
         made = build_files(choices, out, fmi=int(fmi.value), kind=kind.value, tell=tell)

@@ -23,31 +23,63 @@ if TYPE_CHECKING:
 @app.command(
     cls=DataCommand,
     short_help="Name the effect that a model lacks, from measured records.",
-    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
-    "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u and theta or, "
-    "of an FMU without it, v, in the units of the FMU. "
-    "Exit code 0: it completed, whatever it found; 2: an error.",
+    epilog=(
+        "With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and"
+        " the nominal J and friction. With --fmu alone, it must have the parameters J, a2 and b,"
+        " and the columns are t [s], u and theta or, of an FMU without it, v, in the units of the"
+        " FMU. Exit code 0: it completed, whatever it found; 2: an error."
+    ),
 )
 def diagnose(
     data: Annotated[
-        list[Path], typer.Option(help="measured files or patterns (two files or more are best)", metavar="FILE...", parser=path_of)
+        list[Path],
+        typer.Option(
+            help="measured files or patterns (two files or more are best)",
+            metavar="FILE...",
+            parser=path_of,
+        ),
     ],
     out: Annotated[
-        Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model", metavar="FOLDER", parser=path_of)
+        Path,
+        typer.Option(
+            help="folder for diagnosis.json, report.html and the augmented model",
+            metavar="FOLDER",
+            parser=path_of,
+        ),
     ] = Path("out"),
-    model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)] = None,
-    fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)] = None,
-    choose: Annotated[
-        str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME", autocompletion=complete_effect)
+    model: Annotated[
+        Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)
     ] = None,
-    fill: Annotated[bool, typer.Option("--fill", help="put what is left unexplained into the model, as an unnamed torque")] = False,
-    jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
-    budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,
+    fmu: Annotated[
+        Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)
+    ] = None,
+    choose: Annotated[
+        str | None,
+        typer.Option(
+            help="effect of a tie to add to the model",
+            metavar="NAME",
+            autocompletion=complete_effect,
+        ),
+    ] = None,
+    fill: Annotated[
+        bool,
+        typer.Option(
+            "--fill", help="put what is left unexplained into the model, as an unnamed torque"
+        ),
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")
+    ] = 0,
+    budget: Annotated[
+        str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")
+    ] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
-    """Find where a model and measured records disagree, name the missing effect, and write the model with it."""
+    """Find where a model and measured records disagree, name the missing effect, and write the
+    model with it.
+    """
     if model is None and fmu is None:
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
@@ -63,10 +95,18 @@ def diagnose(
         tell("writing", 1.0)
         problem = None
         try:
-            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(model or fmu, data, command_line(), fmu), fill=fill)
+            write(
+                found,
+                out,
+                choose,
+                fmi=int(fmi.value),
+                made=provenance_of(model or fmu, data, command_line(), fmu),
+                fill=fill,
+            )
         except BristleError as error:
             problem = error
-    _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written
+    # the answer is printed even if it cannot be written
+    _summary(found, choose if problem is None else None)
     if fill and not (found.unnamed is not None and found.unnamed.offered):
         print(nothing_filled(found))
     if problem is None or isinstance(problem, IncompleteError):
@@ -114,20 +154,29 @@ def _diagnosed(
     if fmu is not None:
         known = diagnosis.load_model(model) if model is not None else diagnosis.fmu_model(fmu)
         records = diagnosis.load_records(known, data)
-        return diagnosis.diagnose_fmu(fmu, known, records, progress=tell, options=options, timeout=timeout)
+        return diagnosis.diagnose_fmu(
+            fmu, known, records, progress=tell, options=options, timeout=timeout
+        )
     assert model is not None
     known = diagnosis.load_model(model)
-    return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell, options=options)
+    return diagnosis.diagnose(
+        known, diagnosis.load_records(known, data), progress=tell, options=options
+    )
 
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:
-    """Print the answer in one line and in sentences, what to measure next, findings, and the parameters of the effects."""
+    """Print the answer in one line and in sentences, what to measure next, findings, and the
+    parameters of the effects.
+    """
     from bristle.diagnosis.report.headline import headline
     from bristle.diagnosis.report.text import effect_name, plain_texts
 
     print(headline(found))
     text = "\n".join(found.statement)
-    for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
+    for line in (
+        *found.statement,
+        *(line for line in found.proposals if line.rstrip("?.") not in text),
+    ):
         print(line)
     if found.experiment:
         print(f"What to measure next: {found.experiment}")
@@ -142,7 +191,20 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
         for name, e in effect.parameters.items():
             value, low, high = plain_texts(e)
             interval = f"{low} ... {high}" if low else "-"
-            rows.append((effect.name, name, value + (" (at its bound)" if e.at_bound else ""), interval, e.unit))
+            rows.append(
+                (
+                    effect.name,
+                    name,
+                    value + (" (at its bound)" if e.at_bound else ""),
+                    interval,
+                    e.unit,
+                )
+            )
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows if len(rows) > 1 else ():
-        print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
+        print(
+            "  "
+            + "  ".join(
+                f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)
+            ).rstrip()
+        )

@@ -30,15 +30,21 @@ from bristle.cli.terminal import progress
 )
 def export(
     scenario: ScenarioArgument,
-    out: Annotated[Path, typer.Option(help="folder for the package", metavar="FOLDER", parser=path_of)] = Path("kit"),
+    out: Annotated[
+        Path, typer.Option(help="folder for the package", metavar="FOLDER", parser=path_of)
+    ] = Path("kit"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     set_: SetOption = None,
     seed: SeedOption = None,
-    platforms: Annotated[str, typer.Option(help="host, all, or names such as win64,linux64", metavar="PLATFORMS")] = "host",
+    platforms: Annotated[
+        str, typer.Option(help="host, all, or names such as win64,linux64", metavar="PLATFORMS")
+    ] = "host",
     debug: DebugOption = False,
 ) -> int:
-    """Write FOLDER/SCENARIO.ssp with its FMUs, reference signals, verdict, and a page for who receives it."""
+    """Write FOLDER/SCENARIO.ssp with its FMUs, reference signals, verdict, and a page for who
+    receives it.
+    """
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.kit import export as write
     from bristle.harness.run import Options
@@ -47,6 +53,8 @@ def export(
     with progress(scenario.stem) as tell:
         tell("building FMUs and running them once", 0, 0)
         package = write(find_scenario(scenario), out, options, platforms)
-    verdict = json.loads((out / "reference" / "verdict.json").read_text(encoding="utf-8"))["verdict"]
+    verdict = json.loads((out / "reference" / "verdict.json").read_text(encoding="utf-8"))[
+        "verdict"
+    ]
     print(f"{package}  verdict {verdict}; for who receives it: {out / 'README.md'}")
     return PASS

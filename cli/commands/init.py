@@ -19,22 +19,37 @@ if TYPE_CHECKING:
     epilog="Exit code 0: the model file is written; 2: an error.",
 )
 def init(
-    data: Annotated[list[Path], typer.Argument(help="measured files or patterns", metavar="FILE", parser=path_of)],
-    out: Annotated[Path, typer.Option(help="model file to write", metavar="MODEL.toml", parser=path_of)] = Path("model.toml"),
+    data: Annotated[
+        list[Path],
+        typer.Argument(help="measured files or patterns", metavar="FILE", parser=path_of),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="model file to write", metavar="MODEL.toml", parser=path_of)
+    ] = Path("model.toml"),
     time: Annotated[str | None, typer.Option(help="column of the time", metavar="COLUMN")] = None,
-    input_: Annotated[str | None, typer.Option("--input", help="column of the input", metavar="COLUMN")] = None,
-    output: Annotated[str | None, typer.Option(help="column of the output", metavar="COLUMN")] = None,
-    unit: Annotated[list[str] | None, typer.Option(help="unit of a column", metavar="COLUMN=UNIT")] = None,
+    input_: Annotated[
+        str | None, typer.Option("--input", help="column of the input", metavar="COLUMN")
+    ] = None,
+    output: Annotated[
+        str | None, typer.Option(help="column of the output", metavar="COLUMN")
+    ] = None,
+    unit: Annotated[
+        list[str] | None, typer.Option(help="unit of a column", metavar="COLUMN=UNIT")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="replace MODEL.toml if it exists")] = False,
     debug: DebugOption = False,
 ) -> None:
-    """Find time, input and output in measured files, estimate rough parameters, and write a commented model file."""
+    """Find time, input and output in measured files, estimate rough parameters, and write a
+    commented model file.
+    """
     from bristle.cli.files import pairs
     from bristle.diagnosis.proposal import propose
     from bristle.diagnosis.proposal_text import next_command, summary, write_model
 
     files = files_of(data)
-    found = propose(files, {"time": time, "input": input_, "output": output}, pairs("--unit", unit or []))
+    found = propose(
+        files, {"time": time, "input": input_, "output": output}, pairs("--unit", unit or [])
+    )
     write_model(found, out, force)
     for line in summary(found):
         print(line)

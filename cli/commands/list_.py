@@ -14,14 +14,19 @@ if TYPE_CHECKING:
 
 @app.command("list", short_help="List friction laws, observers, effects and scenarios.")
 def list_command() -> None:
-    """List friction laws, observer methods, effects and scenarios, also those of plug-in folders and installed packages."""
+    """List friction laws, observer methods, effects and scenarios, also those of plug-in folders
+    and installed packages.
+    """
     from bristle.harness.catalogue import scenarios
     from bristle.observer import methods
     from bristle.plant.effects import effects
     from bristle.plant.friction import laws
     from bristle.plant.signal_effects import SIGNAL_EFFECTS
 
-    found = {name: f"{e.description} (class {e.group})" if e.group != name else e.description for name, e in effects().items()}
+    found = {
+        name: f"{e.description} (class {e.group})" if e.group != name else e.description
+        for name, e in effects().items()
+    }
     listed = {
         "friction laws": _described(laws(packages=True)),
         "observer methods": _described(methods(packages=True)),

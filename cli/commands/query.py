@@ -13,16 +13,28 @@ import typer
 
 from bristle.cli.app import PASS, DebugOption, app, path_of
 
-StoreArgument = Annotated[Path, typer.Argument(help="folder of bristle sweep", metavar="STORE", parser=path_of)]
+StoreArgument = Annotated[
+    Path, typer.Argument(help="folder of bristle sweep", metavar="STORE", parser=path_of)
+]
 
 
 @app.command(
     short_help="Ask a store of a sweep in SQL.",
-    epilog='Columns: what varies, and paths of result.json, such as "estimates.alpha2.error_percent", quoted for their dots.',
+    epilog=(
+        'Columns: what varies, and paths of result.json, such as "estimates.alpha2.error_percent",'
+        " quoted for their dots."
+    ),
 )
 def query(
     store: StoreArgument,
-    sql: Annotated[str, typer.Argument(help='a query on the table runs, such as "SELECT verdict, count(*) FROM runs GROUP BY 1"')],
+    sql: Annotated[
+        str,
+        typer.Argument(
+            help=(
+                'a query on the table runs, such as "SELECT verdict, count(*) FROM runs GROUP BY 1"'
+            )
+        ),
+    ],
     csv_: Annotated[bool, typer.Option("--csv", help="print as CSV")] = False,
     debug: DebugOption = False,
 ) -> int:
@@ -42,11 +54,18 @@ def _table(names: list[str], rows: list[tuple[Any, ...]]) -> str:
     """Return a table of text: numbers on the right."""
     cells = [names, *([_cell(value) for value in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    numeric = [all(isinstance(row[place], int | float | Decimal | None) for row in rows) for place in range(len(names))]
+    numeric = [
+        all(isinstance(row[place], int | float | Decimal | None) for row in rows)
+        for place in range(len(names))
+    ]
     lines = []
     for line in cells:
         padded = zip(line, widths, numeric, strict=True)
-        lines.append("  ".join(cell.rjust(width) if right else cell.ljust(width) for cell, width, right in padded).rstrip())
+        lines.append(
+            "  ".join(
+                cell.rjust(width) if right else cell.ljust(width) for cell, width, right in padded
+            ).rstrip()
+        )
     return "\n".join(lines)
 
 

@@ -14,17 +14,24 @@ from bristle.cli.commands.query import StoreArgument
 @app.command(short_help="Make the report of a store of a sweep.")
 def report(
     store: StoreArgument,
-    out: Annotated[Path, typer.Option(help="folder for report.html", metavar="FOLDER", parser=path_of)] = Path("out/report"),
+    out: Annotated[
+        Path, typer.Option(help="folder for report.html", metavar="FOLDER", parser=path_of)
+    ] = Path("out/report"),
     debug: DebugOption = False,
 ) -> int:
-    """Write FOLDER/report.html and report.json: verdicts, errors of the estimates, coverage of intervals, where runs fail."""
+    """Write FOLDER/report.html and report.json: verdicts, errors of the estimates, coverage of
+    intervals, where runs fail.
+    """
     from bristle.common.output import output_folder, replace_files, to_json
     from bristle.harness.store import Store
     from bristle.harness.sweep_report import Runs, render, summary
 
     runs = Runs(Store(store))
     with output_folder(out):
-        content = {"report.html": render(runs).encode(), "report.json": to_json(summary(runs)).encode()}
+        content = {
+            "report.html": render(runs).encode(),
+            "report.json": to_json(summary(runs)).encode(),
+        }
         replace_files(out, content, list(content))
     for line in runs.unfinished:
         print(line)

@@ -20,11 +20,18 @@ if TYPE_CHECKING:
 )
 def reproduce(
     out: Annotated[
-        Path, typer.Option(help="folder for report.html, its figures and reproduce.json", metavar="FOLDER", parser=path_of)
+        Path,
+        typer.Option(
+            help="folder for report.html, its figures and reproduce.json",
+            metavar="FOLDER",
+            parser=path_of,
+        ),
     ] = Path("out"),
     debug: DebugOption = False,
 ) -> None:
-    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page."""
+    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer,
+    on one page.
+    """
     from bristle.harness.reproduce import reproduce as make
 
     with fraction("reproduce") as tell:

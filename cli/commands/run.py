@@ -37,15 +37,22 @@ if TYPE_CHECKING:
 def run(
     scenarios: Annotated[
         list[Path],
-        scenario_argument("scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp files of them"),
+        scenario_argument(
+            "scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp"
+            " files of them"
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
+    out: Annotated[
+        Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)
+    ] = Path("out"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     set_: SetOption = None,
     seed: SeedOption = None,
     full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
-    fmu: Annotated[Path | None, typer.Option(help="the FMU of .exp files", metavar="FILE", parser=path_of)] = None,
+    fmu: Annotated[
+        Path | None, typer.Option(help="the FMU of .exp files", metavar="FILE", parser=path_of)
+    ] = None,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
@@ -59,20 +66,29 @@ def run(
     refuse_duplicates(scenarios)
     if replays:
         if len(replays) < len(scenarios) or set_ or seed is not None:
-            raise BristleError("packages and experiments run as they are: without scenario files beside them, --set and --seed")
+            raise BristleError(
+                "packages and experiments run as they are: without scenario files beside them,"
+                " --set and --seed"
+            )
         raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
         ready = [each for each in checked if each is not None]
-        worst = max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+        worst = (
+            max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+        )
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
 
 
 def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, debug: bool) -> int:
     """Run a package or experiments, print verdicts or the error, and return the exit code."""
     try:
-        return _package(path, out, timeout) if path.suffix.lower() == ".ssp" else _experiments(path, fmu, out, timeout)
+        return (
+            _package(path, out, timeout)
+            if path.suffix.lower() == ".ssp"
+            else _experiments(path, fmu, out, timeout)
+        )
     except BristleError as error:
         complain(error, debug)
         return ERROR
@@ -84,7 +100,11 @@ def _package(path: Path, out: Path, timeout: float | None) -> int:
     with progress(path.stem) as tell:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
     held = sum(each.holds for each in done.agreement)
-    what = f"{held} of {len(done.agreement)} signals agree with the reference" if done.compared else "holds no reference"
+    what = (
+        f"{held} of {len(done.agreement)} signals agree with the reference"
+        if done.compared
+        else "holds no reference"
+    )
     print(f"{path.stem:<24} {done.verdict}  {done.folder / 'report.html'}  {done.failure or what}")
     return PASS if done.passed else FAIL
 
@@ -101,7 +121,10 @@ def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None)
     with progress(path.stem) as tell:
         done = repeat(fmu, out, source, timeout, tell)
     for each in done.experiments:
-        print(f"{path.stem:<24} {each.verdict:<4}  {done.folder / 'report.html'}  {each.experiment.name}: {each.summary}")
+        print(
+            f"{path.stem:<24} {each.verdict:<4}  {done.folder / 'report.html'} "
+            f" {each.experiment.name}: {each.summary}"
+        )
     if done.changed:
         names = ", ".join(done.changed[:3]) + (", ..." if len(done.changed) > 3 else "")
         print(f"{path.stem:<24} fail  not as when it was made: {names}")
@@ -141,7 +164,10 @@ def _report(done: Run) -> None:
     failed = [check["name"] for check in result["checks"] if not check["pass"]]
     why = ""
     if "diverged" in result:
-        why = f"  {result['diverged']['fmu']} stopped at {result['diverged']['time_s']:g} s: {result['diverged']['message']}"
+        why = (
+            f"  {result['diverged']['fmu']} stopped at {result['diverged']['time_s']:g} s:"
+            f" {result['diverged']['message']}"
+        )
     elif failed:
         why = f"  failed: {', '.join(failed)}"
     head = f"{result['scenario']:<24} {result['verdict']:<4} {result['wall_s']:7.1f} s"

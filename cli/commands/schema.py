@@ -34,4 +34,8 @@ def schema_of(kind: FileKind) -> dict[str, Any]:
     from bristle.harness.scenario import Scenario
 
     found = (Scenario if kind is FileKind.scenario else ModelTable).model_json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found, "title": f"{kind} file of bristle"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **found,
+        "title": f"{kind} file of bristle",
+    }

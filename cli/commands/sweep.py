@@ -40,23 +40,43 @@ class Sampling(StrEnum):
 
 @app.command(
     short_help="Run a scenario with many values and seeds, into a store.",
-    epilog="Exit code 0: all runs pass, also those that were there; 1: a check does not hold in some; 2: a run could not be made.",
+    epilog=(
+        "Exit code 0: all runs pass, also those that were there; 1: a check does not hold in some;"
+        " 2: a run could not be made."
+    ),
 )
 def sweep(
     scenario: ScenarioArgument,
     out: Annotated[Path, typer.Option(help="folder of the store", metavar="STORE", parser=path_of)],
     vary: Annotated[
         list[str] | None,
-        typer.Option(help="values of a key: a:b:n, [v1, v2], or a distribution such as uniform(a, b)", metavar="PATH=SPEC"),
+        typer.Option(
+            help="values of a key: a:b:n, [v1, v2], or a distribution such as uniform(a, b)",
+            metavar="PATH=SPEC",
+        ),
     ] = None,
-    samples: Annotated[int | None, typer.Option(help="how many are drawn from the distributions", min=1, metavar="N")] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="how many are drawn from the distributions", min=1, metavar="N"),
+    ] = None,
     sampling: Annotated[Sampling, typer.Option(help="how they are drawn")] = Sampling.lhs,
-    sampling_seed: Annotated[int, typer.Option(help="seed of the drawing", min=0, max=2**32 - 1, metavar="N")] = 0,
-    seeds: Annotated[str | None, typer.Option(help="seeds of the reference: 1-200 or 1,4,7-9", metavar="SEEDS")] = None,
+    sampling_seed: Annotated[
+        int, typer.Option(help="seed of the drawing", min=0, max=2**32 - 1, metavar="N")
+    ] = 0,
+    seeds: Annotated[
+        str | None, typer.Option(help="seeds of the reference: 1-200 or 1,4,7-9", metavar="SEEDS")
+    ] = None,
     set_: SetOption = None,
-    resume: Annotated[bool, typer.Option("--resume", help="make only the runs that the store does not have")] = False,
-    jobs: Annotated[int | None, typer.Option("--jobs", "-j", help="threads; else one a core", min=1, max=1024, metavar="N")] = None,
-    cluster: Annotated[str | None, typer.Option(help="scheduler of a Dask cluster", metavar="ADDRESS")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="make only the runs that the store does not have")
+    ] = False,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", help="threads; else one a core", min=1, max=1024, metavar="N"),
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="scheduler of a Dask cluster", metavar="ADDRESS")
+    ] = None,
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     timeout: TimeoutOption = None,
@@ -71,7 +91,9 @@ def sweep(
     from bristle.harness.sweep import Means, prepare_sweep, run_sweep
     from bristle.harness.values import seeds_of
 
-    asked = design(vary or (), () if seeds is None else seeds_of(seeds), samples, sampling.value, sampling_seed)
+    asked = design(
+        vary or (), () if seeds is None else seeds_of(seeds), samples, sampling.value, sampling_seed
+    )
     store = Store(out)
     try:
         options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
@@ -91,10 +113,16 @@ def sweep(
         found = run_sweep(prepared, asked, store, means, show)
     counts = counted(found.verdicts)
     before = f"; {found.kept} were there: {counted(found.there)}" if found.kept else ""
-    print(f"{found.runs} {'run' if found.runs == 1 else 'runs'} in {found.seconds:.1f} s: {counts}{before}  {out}", flush=True)
+    print(
+        f"{found.runs} {'run' if found.runs == 1 else 'runs'} in {found.seconds:.1f} s:"
+        f" {counts}{before}  {out}",
+        flush=True,
+    )
     return {"error": ERROR, "fail": FAIL}.get(found.worst, PASS)
 
 
 def counted(verdicts: Mapping[str, int]) -> str:
     """Return how many runs have which verdict, in words."""
-    return ", ".join(f"{count} {word}" for word, count in verdicts.items() if count or word == "pass")
+    return ", ".join(
+        f"{count} {word}" for word, count in verdicts.items() if count or word == "pass"
+    )

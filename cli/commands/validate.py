@@ -19,24 +19,44 @@ if TYPE_CHECKING:
 @app.command(
     cls=DataCommand,
     short_help="Compare a model or a plant FMU with records, in open loop.",
-    epilog="The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis). With an FMU alone, which "
-    "must have the parameters J, a2 and b, they are t [s], u and theta or, of an FMU without it, v, in the units of the FMU. "
-    "Exit code 0: it completed, however large the error; 2: an error.",
+    epilog=(
+        "The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis)."
+        " With an FMU alone, which must have the parameters J, a2 and b, they are t [s], u and"
+        " theta or, of an FMU without it, v, in the units of the FMU. Exit code 0: it completed,"
+        " however large the error; 2: an error."
+    ),
 )
 def validate(
-    model: Annotated[Path, typer.Argument(help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=path_of)],
-    data: Annotated[list[Path], typer.Option(help="measured files or patterns", metavar="FILE...", parser=path_of)],
-    out: Annotated[Path, typer.Option(help="folder for validation.json and report.html", metavar="FOLDER", parser=path_of)] = Path(
-        "out/validation"
-    ),
+    model: Annotated[
+        Path,
+        typer.Argument(
+            help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=path_of
+        ),
+    ],
+    data: Annotated[
+        list[Path],
+        typer.Option(help="measured files or patterns", metavar="FILE...", parser=path_of),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="folder for validation.json and report.html", metavar="FOLDER", parser=path_of
+        ),
+    ] = Path("out/validation"),
     fmu: Annotated[
         Path | None,
-        typer.Option(help="plant FMU to validate; MODEL.toml then gives the columns", metavar="PLANT.fmu", parser=path_of),
+        typer.Option(
+            help="plant FMU to validate; MODEL.toml then gives the columns",
+            metavar="PLANT.fmu",
+            parser=path_of,
+        ),
     ] = None,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
-    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured."""
+    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from
+    what was measured.
+    """
     from bristle import diagnosis
     from bristle.common.output import output_folder
     from bristle.common.provenance import provenance_of
@@ -45,7 +65,9 @@ def validate(
     data = files_of(data)
     if model.suffix.lower() == ".fmu":
         if fmu is not None:
-            raise BristleError(f"{model} and {fmu} are both FMUs; give one, and MODEL.toml for the columns")
+            raise BristleError(
+                f"{model} and {fmu} are both FMUs; give one, and MODEL.toml for the columns"
+            )
         fmu = model
     check_validation_places(out, [model, *data, *([] if fmu is None else [fmu])])
     with output_folder(out), fraction("validate") as tell:
@@ -53,8 +75,16 @@ def validate(
         known = diagnosis.fmu_model(model) if model == fmu else diagnosis.load_model(model)
         records = diagnosis.load_records(known, data)
         tell("simulating", 0.2)
-        found = diagnosis.validate(known, records) if fmu is None else diagnosis.validate_fmu(fmu, known, records, timeout)
+        found = (
+            diagnosis.validate(known, records)
+            if fmu is None
+            else diagnosis.validate_fmu(fmu, known, records, timeout)
+        )
         tell("writing", 0.9)
         write_validation(found, out, provenance_of(model, data, command_line(), fmu))
-    for line in (*sentences(found), *(f"  - {finding}" for finding in found.findings), out / "report.html"):
+    for line in (
+        *sentences(found),
+        *(f"  - {finding}" for finding in found.findings),
+        out / "report.html",
+    ):
         print(line)

@@ -1,4 +1,6 @@
-"""Whether the input was held between samples; records that are logged more slowly than the drive works show otherwise."""
+"""Whether the input was held between samples; records that are logged more slowly than the drive
+works show otherwise.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +18,34 @@ from bristle.records.input_hold import mixed
 from bristle.records.record import Record
 
 SLOW_SAMPLING = 2e-3  # s: least sampling period at which the hold is tested
-INPUT_CHANGE_GAIN = 50.0  # nats: least gain of an input that changes between samples over one that is held
+# nats: least gain of an input that changes between samples over one that is held
+INPUT_CHANGE_GAIN = 50.0
 FIRST_INPUT_SHARE = 0.25  # share of the next sample that is tried first
-INPUT_SHARES = tuple(k / 20 for k in range(1, 11))  # shares that are tried then; 0.5: the input changes linearly
+# shares that are tried then; 0.5: the input changes linearly
+INPUT_SHARES = tuple(k / 20 for k in range(1, 11))
 INPUT_FINDING = (
-    "the input seems to change between samples: a mix of {share:.2g} of the next sample and the rest of the last one is used "
-    "({gain:.0f} nats likelier than a held input); log it as often as the drive sets it, and look for a lag in its reading"
+    "the input seems to change between samples: a mix of {share:.2g} of the next sample and the"
+    " rest of the last one is used ({gain:.0f} nats likelier than a held input); log it as often as"
+    " the drive sets it, and look for a lag in its reading"
 )
 
 
 @dataclass(frozen=True)
 class InputShare:
-    """Share of the next sample in the best constant input between two samples, and its gain over a held input [nats]."""
+    """Share of the next sample in the best constant input between two samples, and its gain over a
+    held input [nats].
+    """
 
     share: float
     gain: float
 
 
 def estimate_input_share(dataset: Dataset, fitted: FittedModel) -> InputShare | None:
-    """Return the mean input between samples if that is far likelier than a held one; None if it is not.
+    """Return the mean input between samples if that is far likelier than a held one; None if it is
+    not.
 
-    A held input that was not held is half a sample of delay, which any similar effect would explain.
+    A held input that was not held is half a sample of delay, which any similar effect would
+    explain.
     """
     if not dataset.input_may_change:
         return None
@@ -49,11 +58,15 @@ def estimate_input_share(dataset: Dataset, fitted: FittedModel) -> InputShare | 
 
 
 def _predicted(dataset: Dataset, fitted: FittedModel, share: float) -> tuple[float, Fit]:
-    """Return the log-likelihood that a step predicts with a mixed input [nats], and the fit, under the noise of its residual."""
+    """Return the log-likelihood that a step predicts with a mixed input [nats], and the fit, under
+    the noise of its residual.
+    """
     segments = fitted.fit.simulator.segments
     pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in segments.pieces)
     simulator = fitted.servo.simulator(replace(segments, pieces=pieces))
-    fit = evaluate(fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial))
+    fit = evaluate(
+        fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial)
+    )
     return value_under_noise(fit, partial(under_own_noise, dataset))
 
 
@@ -63,10 +76,16 @@ def _likeliest_share(dataset: Dataset, fitted: FittedModel, best: int) -> float:
 
     def refitted(k: int) -> float:
         if k not in total:
-            total[k] = refit_with_noise(dataset, _predicted(dataset, fitted, INPUT_SHARES[k])[1]).total
+            total[k] = refit_with_noise(
+                dataset, _predicted(dataset, fitted, INPUT_SHARES[k])[1]
+            ).total
         return total[k]
 
-    while (near := max((k for k in (best, best + 1, best - 1) if 0 <= k < len(INPUT_SHARES)), key=refitted)) != best:
+    while (
+        near := max(
+            (k for k in (best, best + 1, best - 1) if 0 <= k < len(INPUT_SHARES)), key=refitted
+        )
+    ) != best:
         best = near
     return INPUT_SHARES[best]
 

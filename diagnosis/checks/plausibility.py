@@ -1,6 +1,8 @@
-"""Plausibility of the data before a search: signs, units, swapped columns, position taken for velocity.
+"""Plausibility of the data before a search: signs, units, swapped columns, position taken for
+velocity.
 
-A regression of the torque gives J, a2 and Fc; what contradicts the model's nominal values is a proposal or a finding.
+A regression of the torque gives J, a2 and Fc; what contradicts the model's nominal values is a
+proposal or a finding.
 """
 
 from __future__ import annotations
@@ -13,19 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
-from bristle.diagnosis.checks.torque_regression import Regression, explained_share, regress, regression_rows
+from bristle.diagnosis.checks.torque_regression import (
+    Regression,
+    explained_share,
+    regress,
+    regression_rows,
+)
 from bristle.diagnosis.modelfile import Model
 from bristle.records.record import Record
 
 REGRESSION_NAMES = ("J", "a2", "Fc")  # what the regression estimates
 UNIT_FACTOR = 5.0  # factor beyond which a nominal value is wrong and not merely inaccurate
-CAUSE_TOLERANCE = (3.0, 8.0, 3.0)  # factors of J, a2, Fc within which one cause explains their ratios
+# factors of J, a2, Fc within which one cause explains their ratios
+CAUSE_TOLERANCE = (3.0, 8.0, 3.0)
 ABSURD_FACTOR = 30.0  # factor beyond which one wrong value is enough for a proposal
 SIGN_ERRORS = 5.0  # standard errors from which on the sign of an estimate is certain
 VALUE_ERRORS = 3.0  # standard errors from which on a value is compared with others
-READING_RATIO = 3.0  # factor by which another reading of the columns must lower the unexplained torque
-CLEARER_RATIO = 1.5  # the same if that reading gives the nominal inertia and the given one does not, and for the sign
-NOMINAL_RATIO = 0.7  # the same if it also gives the other nominal values, from which the given reading is far
+# factor by which another reading of the columns must lower the unexplained torque
+READING_RATIO = 3.0
+# the same if that reading gives the nominal inertia and the given one does not, and for the sign
+CLEARER_RATIO = 1.5
+# the same if it also gives the other nominal values, from which the given reading is far
+NOMINAL_RATIO = 0.7
 EXPLAINED_SHARE = 0.8  # of the torque: least that another reading must explain
 UNSIGNED_SHARE = 0.005  # of the samples: most that are below zero in a speed without its sign
 EITHER_SIGN_SHARE = 0.1  # of the samples: least of each sign in an input that drives both ways
@@ -33,8 +44,20 @@ BEYOND_BOUNDS = 1.5  # factor outside its bounds from which on an estimate is a 
 # logarithms of the factors of (J, a2, Fc) by a column that is too large by a factor of e
 CAUSES = {"input": (1.0, 1.0, 1.0), "output": (-1.0, -1.0, 0.0), "time": (2.0, 1.0, 0.0)}
 KNOWN_FACTORS = {  # factor by which a column is too large: its cause
-    "input": {1e3: "a unit of milli", 1e6: "a unit of micro", 100.0: "N.cm", 9.80665: "kgf", 98.0665: "kgf.cm"},
-    "output": {180 / math.pi: "deg", 0.5 / math.pi: "rev", 30 / math.pi: "rpm", 1e3: "a unit of milli", 1e6: "a unit of micro"},
+    "input": {
+        1e3: "a unit of milli",
+        1e6: "a unit of micro",
+        100.0: "N.cm",
+        9.80665: "kgf",
+        98.0665: "kgf.cm",
+    },
+    "output": {
+        180 / math.pi: "deg",
+        0.5 / math.pi: "rev",
+        30 / math.pi: "rpm",
+        1e3: "a unit of milli",
+        1e6: "a unit of micro",
+    },
     "time": {1e3: "ms", 1e6: "us", 1.0 / 60.0: "min"},
 }
 ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
@@ -44,21 +67,25 @@ ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
 class Plausibility:
     """What the regression shows of the data."""
 
-    proposals: tuple[str, ...]  # mistakes to be corrected before a search: one line each, empty for plausible data
+    # mistakes to be corrected before a search: one line each, empty for plausible data
+    proposals: tuple[str, ...]
     findings: tuple[str, ...]  # what is unusual, but may be true
-    fit: dict[str, dict[str, float] | float] = field(default_factory=dict)  # value and se of J, a2, Fc (SI); explained
+    # value and se of J, a2, Fc (SI); explained
+    fit: dict[str, dict[str, float] | float] = field(default_factory=dict)
 
 
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
     """Compare what a regression on the records gives with the model's nominal values."""
     found = _regression(model, records)
     line = _unsigned(model, records, found)
-    if line and not (found and _wrong_reading(model, records, found)):  # a position may keep its sign as well
+    # a position may keep its sign as well
+    if line and not (found and _wrong_reading(model, records, found)):
         return Plausibility((line,), ())
     if found is None:
         return Plausibility((), ("too little motion to check signs and units",))
     fit: dict[str, dict[str, float] | float] = {
-        name: {"value": float(found.value[i]), "se": float(found.error[i])} for i, name in enumerate(REGRESSION_NAMES)
+        name: {"value": float(found.value[i]), "se": float(found.error[i])}
+        for i, name in enumerate(REGRESSION_NAMES)
     }
     fit["explained"] = found.explained
     findings = tuple(_outside_bounds(model, found))
@@ -66,33 +93,49 @@ def check(model: Model, records: Sequence[Record]) -> Plausibility:
     whole = _wrong_reading(model, records, found) or _wrong_factor(model, _nominal(model), found)
     if whole and (not single or len(single) > len(records) / 2):
         return Plausibility((whole,), findings, fit)
-    return Plausibility(single, findings, fit)  # a mistake in one record may not show in all together, or only blur them
+    # a mistake in one record may not show in all together, or only blur them
+    return Plausibility(single, findings, fit)
 
 
 def _unsigned(model: Model, records: Sequence[Record], found: Regression | None) -> str | None:
-    """Return a proposal where the output looks like a speed without its sign, as a pulse counter gives it."""
+    """Return a proposal where the output looks like a speed without its sign, as a pulse counter
+    gives it.
+    """
     y, u = (np.concatenate([getattr(record, name) for record in records]) for name in ("y", "u"))
     one_sign = min(np.mean(y < 0), np.mean(y > 0)) <= UNSIGNED_SHARE
-    if model.output_kind != "velocity" or not one_sign or min(np.mean(u < 0), np.mean(u > 0)) < EITHER_SIGN_SHARE:
+    if (
+        model.output_kind != "velocity"
+        or not one_sign
+        or min(np.mean(u < 0), np.mean(u > 0)) < EITHER_SIGN_SHARE
+    ):
         return None
     share = 0.0 if found is None else explained_share(found.rows)[0]
     if share > EXPLAINED_SHARE:  # a drive that brakes with the input, say
         return None
     return (
-        f"output looks like a speed without its sign: '{model.output.column}' keeps one sign under an input of both, and as given "
-        f"the model explains {share:.0%} of the torque; restore the sign, or measure the position"
+        f"output looks like a speed without its sign: '{model.output.column}' keeps one sign under"
+        f" an input of both, and as given the model explains {share:.0%} of the torque; restore the"
+        " sign, or measure the position"
     )
 
 
 def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[str]:
-    """Give proposals for single records; a factor must distinguish a record from the others, too."""
+    """Give proposals for single records; a factor must distinguish a record from the others,
+    too.
+    """
     regressions = [_regression(model, [r]) for r in records]
     for k, (record, own) in enumerate(zip(records, regressions, strict=True)):
         if own is None:
             continue
         line = _wrong_reading(model, [record], own, alone=True)
-        others = [np.where(each.known(VALUE_ERRORS), each.value, np.nan) for i, each in enumerate(regressions) if each and i != k]
-        if line is None and all(_wrong_factor(model, other, own) for other in others if np.isfinite(other[0])):
+        others = [
+            np.where(each.known(VALUE_ERRORS), each.value, np.nan)
+            for i, each in enumerate(regressions)
+            if each and i != k
+        ]
+        if line is None and all(
+            _wrong_factor(model, other, own) for other in others if np.isfinite(other[0])
+        ):
             line = _wrong_factor(model, _nominal(model), own, alone=True)
         if line:
             yield f"record {record.name}: {line}"
@@ -117,9 +160,13 @@ def _nominal(model: Model) -> Array:
     return np.where(given > 0.0, given, np.nan)
 
 
-# -- another reading of the columns --------------------------------------------------------------------------------------
-def _wrong_reading(model: Model, records: Sequence[Record], found: Regression, alone: bool = False) -> str | None:
-    """Return a proposal to turn the input's sign, swap the columns or differentiate once more or less; `alone`: in one record."""
+# -- another reading of the columns ----------------------------------------------------------------
+def _wrong_reading(
+    model: Model, records: Sequence[Record], found: Regression, alone: bool = False
+) -> str | None:
+    """Return a proposal to turn the input's sign, swap the columns or differentiate once more or
+    less; `alone`: in one record.
+    """
     given, constants = explained_share(found.rows)
     value, nominal = found.value, _nominal(model)
     if found.known(SIGN_ERRORS)[0] and _near(value[0] / nominal[0]) and given > 0.5:
@@ -137,11 +184,15 @@ def _wrong_reading(model: Model, records: Sequence[Record], found: Regression, a
         return f"output looks like a {other}, not a {model.output_kind}: that {shares}; {advice}"
     names = f"'{model.input.column}' and '{model.output.column}'"
     advice = _advice("swap them in the model file", alone)
-    return f"columns of input and output look swapped: {names} the other way round {shares}; {advice}"
+    return (
+        f"columns of input and output look swapped: {names} the other way round {shares}; {advice}"
+    )
 
 
 def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> str | None:
-    """Return a proposal to turn the input's sign; `given` is the share explained as it is, `dry` whether the law has an Fc."""
+    """Return a proposal to turn the input's sign; `given` is the share explained as it is, `dry`
+    whether the law has an Fc.
+    """
     ratio = found.value / np.maximum(found.error, 1e-300)
     core = ratio[[0, 2]] if dry else ratio[[0]]
     if not (np.min(core) < -SIGN_ERRORS and np.max(core) < SIGN_ERRORS):
@@ -149,27 +200,45 @@ def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> str | N
     flipped, _ = explained_share(found.rows, -1.0)
     if not (1.0 - given > CLEARER_RATIO * (1.0 - flipped) and flipped > 0.2):
         return None
-    advice = 'reverse it with scale = "-1" beside the unit in [input], or in [output] if its sign is the wrong one'
+    advice = (
+        'reverse it with scale = "-1" beside the unit in [input], or in [output] if its sign is the'
+        " wrong one"
+    )
     return (
-        f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as given {given:.0%} "
-        f"(J {found.value[0]:.3g}, Fc {found.value[2]:.3g}); {_advice(advice, alone)}"
+        f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as"
+        f" given {given:.0%} (J {found.value[0]:.3g}, Fc {found.value[2]:.3g});"
+        f" {_advice(advice, alone)}"
     )
 
 
-def _best_reading(model: Model, records: Sequence[Record], given: float, off: float) -> tuple[float, str] | None:
-    """Return the share of the torque that another reading explains, and its name, if one is clearly better.
+def _best_reading(
+    model: Model, records: Sequence[Record], given: float, off: float
+) -> tuple[float, str] | None:
+    """Return the share of the torque that another reading explains, and its name, if one is clearly
+    better.
 
-    `given` is the share that the given reading explains, `off` how far it is from the nominal values.
+    `given` is the share that the given reading explains, `off` how far it is from the nominal
+    values.
     """
     velocity, nominal = model.output_kind == "velocity", _nominal(model)
-    readings = {"order": (_as_given(model, records), not velocity), "swapped": ([(r.y, r.u) for r in records], velocity)}
+    readings = {
+        "order": (_as_given(model, records), not velocity),
+        "swapped": ([(r.y, r.u) for r in records], velocity),
+    }
     best: tuple[float, str] | None = None
     for reading, (columns, as_velocity) in readings.items():
-        share, constants = explained_share(regression_rows(columns, records, as_velocity, steps=reading == "order"))
+        share, constants = explained_share(
+            regression_rows(columns, records, as_velocity, steps=reading == "order")
+        )
         ratio = READING_RATIO
         if reading == "order" and _near(constants[0] / nominal[0]):
-            # a derivative taken for its integral turns J into a2 and leaves J near 0: the nominal values are evidence too
-            ratio = NOMINAL_RATIO if off - _distance(constants, nominal) > math.log(ABSURD_FACTOR) else CLEARER_RATIO
+            # a derivative taken for its integral turns J into a2 and leaves J near 0: the nominal
+            # values are evidence too
+            ratio = (
+                NOMINAL_RATIO
+                if off - _distance(constants, nominal) > math.log(ABSURD_FACTOR)
+                else CLEARER_RATIO
+            )
         if share > EXPLAINED_SHARE and 1.0 - given > ratio * (1.0 - share) and constants[0] > 0.0:
             best = max(best or (0.0, ""), (share, reading))
     return best
@@ -180,18 +249,28 @@ def _near(ratio: float) -> bool:
 
 
 def _distance(value: Array, nominal: Array) -> float:
-    """Return how far estimates are from nominal values: sum of the log-ratios, each at most log 100."""
+    """Return how far estimates are from nominal values: sum of the log-ratios, each at most log
+    100.
+    """
     ratio = np.clip(np.where(np.isfinite(nominal), value / nominal, 1.0), 0.01, 100.0)
     return float(np.sum(np.abs(np.log(ratio))))
 
 
 def _advice(advice: str, alone: bool) -> str:
-    return "correct this record, not the model file, which is right for the others" if alone else advice
+    return (
+        "correct this record, not the model file, which is right for the others"
+        if alone
+        else advice
+    )
 
 
-# -- a wrong unit --------------------------------------------------------------------------------------------------------
-def _wrong_factor(model: Model, nominal: Array, found: Regression, alone: bool = False) -> str | None:
-    """Return a proposal if one factor on one column explains the ratios of all estimates to `nominal` values (3,)."""
+# -- a wrong unit ----------------------------------------------------------------------------------
+def _wrong_factor(
+    model: Model, nominal: Array, found: Regression, alone: bool = False
+) -> str | None:
+    """Return a proposal if one factor on one column explains the ratios of all estimates to
+    `nominal` values (3,).
+    """
     use = np.isfinite(nominal) & found.known(VALUE_ERRORS) & (found.value > 0.0)
     if not use[0]:
         return None
@@ -199,21 +278,37 @@ def _wrong_factor(model: Model, nominal: Array, found: Regression, alone: bool =
     if use.sum() < 2:
         if abs(off[0]) < math.log(ABSURD_FACTOR):
             return None
-        return f"J comes out at x{math.exp(off[0]):.3g} of its nominal value; check the units of input, output and time"
+        return (
+            f"J comes out at x{math.exp(off[0]):.3g} of its nominal value; check the units of"
+            " input, output and time"
+        )
     causes = sorted(_causes(off, use))
     if not causes or abs(causes[0][2]) < math.log(UNIT_FACTOR):
         return None
     (_, cause, size), *others = causes
-    ratios = ", ".join(f"{name} x{math.exp(x):.3g}" for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True) if used)
-    other = "".join(f", or {_size(model, cause, size)}" for _, cause, size in others if abs(size) > math.log(CAUSE_TOLERANCE[0]))
+    ratios = ", ".join(
+        f"{name} x{math.exp(x):.3g}"
+        for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True)
+        if used
+    )
+    other = "".join(
+        f", or {_size(model, cause, size)}"
+        for _, cause, size in others
+        if abs(size) > math.log(CAUSE_TOLERANCE[0])
+    )
     column = {"input": model.input, "output": model.output, "time": model.time}[cause]
     where = _advice(f"check the unit '{column.unit}' of column '{column.column}'", alone)
     reasons = _reasons(model, cause, size, viscous=bool(use[1]))
-    return f"{_size(model, cause, size)}{other}: against the nominal values {ratios}; {where}; possible causes: {reasons}"
+    return (
+        f"{_size(model, cause, size)}{other}: against the nominal values {ratios}; {where};"
+        f" possible causes: {reasons}"
+    )
 
 
 def _causes(off: Array, use: NDArray[np.bool_]) -> Iterator[tuple[float, str, float]]:
-    """Give the columns of which a wrong scale explains log-ratios (3,): misfit (at most 1), cause, log of its factor."""
+    """Give the columns of which a wrong scale explains log-ratios (3,): misfit (at most 1), cause,
+    log of its factor.
+    """
     for cause, shape in CAUSES.items():
         d = np.array(shape)
         size = float(np.sum(d[use] * off[use]) / np.sum(d[use] ** 2))
@@ -223,15 +318,29 @@ def _causes(off: Array, use: NDArray[np.bool_]) -> Iterator[tuple[float, str, fl
 
 
 def _reasons(model: Model, cause: str, size: float, viscous: bool) -> str:
-    """Return what a factor exp(size) of a column may come from; `viscous`: a2 was estimated, too."""
-    known = {f: text for f, text in KNOWN_FACTORS[cause].items() if not (model.linear and text in ROTARY_UNITS)}
-    distance, text = min((abs(size - s * math.log(f)), text) for f, text in known.items() for s in (1, -1))
+    """Return what a factor exp(size) of a column may come from; `viscous`: a2 was estimated,
+    too.
+    """
+    known = {
+        f: text
+        for f, text in KNOWN_FACTORS[cause].items()
+        if not (model.linear and text in ROTARY_UNITS)
+    }
+    distance, text = min(
+        (abs(size - s * math.log(f)), text) for f, text in known.items() for s in (1, -1)
+    )
     reasons = [text if distance < math.log(2.0) else "a wrong unit"]
     reasons.append("a missing scale" if cause == "time" else "a missing gear ratio")
     if cause == "input" and "b" in model.parameters:
-        reasons.append(f"a wrong b in [parameters], the {'force' if model.linear else 'torque'} per {model.input_unit}")
-    if cause == "output" and not viscous:  # J alone: friction may have been identified from the same data
-        reasons.append(f"a {model.input_kind} at the rotor ahead of a gear, with J that of the load behind it")
+        reasons.append(
+            f"a wrong b in [parameters], the {'force' if model.linear else 'torque'} per"
+            f" {model.input_unit}"
+        )
+    # J alone: friction may have been identified from the same data
+    if cause == "output" and not viscous:
+        reasons.append(
+            f"a {model.input_kind} at the rotor ahead of a gear, with J that of the load behind it"
+        )
     return ", ".join(reasons)
 
 
@@ -241,20 +350,27 @@ def _size(model: Model, cause: str, size: float) -> str:
 
 
 def _outside_bounds(model: Model, found: Regression) -> Iterator[str]:
-    """Give lines on estimates that lie well outside their bounds, and on the factor that they share."""
+    """Give lines on estimates that lie well outside their bounds, and on the factor that they
+    share.
+    """
     names = ("J", "a2", next((n for n in model.parameters if n.endswith(".Fc")), ""))
     ratios = {}
-    for name, value, error, nominal in zip(names, found.value, found.error, _nominal(model), strict=True):
+    for name, value, error, nominal in zip(
+        names, found.value, found.error, _nominal(model), strict=True
+    ):
         low, high = model.bounds.get(name, (-math.inf, math.inf))
         above = high > 0 and value - VALUE_ERRORS * error > BEYOND_BOUNDS * high
         below = low > 0 and 0.0 < value + VALUE_ERRORS * error < low / BEYOND_BOUNDS
         if (above or below) and math.isfinite(nominal) and value > 0:
             ratios[name] = value / nominal
             yield (
-                f"{name} comes out near {value:.3g} {model.unit(name)} without any effect, outside its bounds "
-                f"[{low:.3g}, {high:.3g}]; if that is true, widen them"
+                f"{name} comes out near {value:.3g} {model.unit(name)} without any effect, outside"
+                f" its bounds [{low:.3g}, {high:.3g}]; if that is true, widen them"
             )
     if len(ratios) > 1 and max(ratios.values()) < BEYOND_BOUNDS * min(ratios.values()):
         common = math.exp(sum(map(math.log, ratios.values())) / len(ratios))
         shown = f"{common:.3g}" if common > 1 else f"1/{1 / common:.3g}"
-        yield f"{' and '.join(ratios)} come out at {shown} of nominal alike: is the input a torque on the other side of a gear?"
+        yield (
+            f"{' and '.join(ratios)} come out at {shown} of nominal alike: is the input a torque on"
+            " the other side of a gear?"
+        )

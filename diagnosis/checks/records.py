@@ -14,8 +14,11 @@ from bristle.records.record import Record
 
 LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
 LEAST_DURATION = 2.0  # s, of a record or of a piece of one
-SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1  # s: range of the sampling period; outside, the unit of the time is wrong
-NEEDS = Requirements(LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PERIOD, identification=True)
+# s: range of the sampling period; outside, the unit of the time is wrong
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1
+NEEDS = Requirements(
+    LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PERIOD, identification=True
+)
 
 
 def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
@@ -24,19 +27,23 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     Parameters
     ----------
     model, paths
-        As layout and paths of `bristle.records.read_records`, as are what it returns and its errors.
+        As layout and paths of `bristle.records.read_records`, as are what it returns and its
+        errors.
     """
     must_be_model(model)
     return intake.read_records(model, paths, NEEDS)
 
 
-def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
+def records_from_arrays(
+    model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]
+) -> list[Record]:
     """Check records in memory and repair them as a diagnosis needs it.
 
     Parameters
     ----------
     model, arrays
-        As layout and arrays of `bristle.records.records_from_arrays`, as are what it returns and its errors.
+        As layout and arrays of `bristle.records.records_from_arrays`, as are what it returns and
+        its errors.
     """
     must_be_model(model)
     return intake.records_from_arrays(model, arrays, NEEDS)

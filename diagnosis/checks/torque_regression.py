@@ -1,6 +1,8 @@
-"""Regression of the torque on acceleration, velocity and direction, all low-passed alike: J, a2 and Fc without a simulation.
+"""Regression of the torque on acceleration, velocity and direction, all low-passed alike: J, a2 and
+Fc without a simulation.
 
-It is biased by every effect that the model lacks, but accurate enough to show a wrong sign or a wrong unit.
+It is biased by every effect that the model lacks, but accurate enough to show a wrong sign or a
+wrong unit.
 """
 
 from __future__ import annotations
@@ -21,14 +23,18 @@ LOWPASS_CUTOFF = 25.0  # Hz: cutoff of the low-pass, where the sampling allows i
 CUTOFF_SAMPLES = 8.0  # samples: least period of the cutoff
 LOWEST_CUTOFF = 2.0  # Hz: below it the cutoff is not lowered further
 CUTOFF_STEP = 0.7  # factor by which the cutoff is lowered
-ACCELERATION_NOISE = 0.2  # of the acceleration, rms: most that may come from the resolution; else the cutoff is lowered
-JACKKNIFE_BLOCKS = 20  # blocks of neighbouring samples of a record that are left out in turn for the standard errors
+# of the acceleration, rms: most that may come from the resolution; else the cutoff is lowered
+ACCELERATION_NOISE = 0.2
+# blocks of neighbouring samples of a record that are left out in turn for the standard errors
+JACKKNIFE_BLOCKS = 20
 LEAST_ROWS = 100  # rows in motion: with fewer there is no regression
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of the regression: torque (n,), core terms (n, 3), free terms (n, k), block of each row (n,)."""
+    """Rows of the regression: torque (n,), core terms (n, 3), free terms (n, k), block of each row
+    (n,).
+    """
 
     torque: Array
     core: Array
@@ -43,7 +49,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class Regression:
-    """J, a2 and Fc of either sign (3,) with standard errors (3,), and the share of the torque that they explain."""
+    """J, a2 and Fc of either sign (3,) with standard errors (3,), and the share of the torque that
+    they explain.
+    """
 
     rows: Rows
     value: Array
@@ -56,14 +64,18 @@ class Regression:
 
 
 def _slope(x: Array, h: float) -> Array:
-    """Return the derivative by central differences of fourth order; the two values at either end repeat their neighbour."""
+    """Return the derivative by central differences of fourth order; the two values at either end
+    repeat their neighbour.
+    """
     d = np.empty_like(x)
     d[2:-2] = (8.0 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12.0 * h)
     d[:2], d[-2:] = d[2], d[-3]
     return d
 
 
-def _motion(y: Array, h: float, step: float, velocity: bool) -> tuple[Array, Array, Array, Array, float]:
+def _motion(
+    y: Array, h: float, step: float, velocity: bool
+) -> tuple[Array, Array, Array, Array, float]:
     """Return (low-pass, position, velocity, acceleration, noise of the velocity) of one record.
 
     The cutoff is lowered until the steps of the output contribute little to the acceleration.
@@ -77,7 +89,10 @@ def _motion(y: Array, h: float, step: float, velocity: bool) -> tuple[Array, Arr
         a = _slope(v, h)
         # white noise of step^2/12 after the low-pass and `order` differentiations
         density = step**2 / 12.0 * 2.0 * h
-        noise = [math.sqrt(density * (2 * math.pi) ** (2 * n) * cutoff ** (2 * n + 1) / (2 * n + 1)) for n in (order - 1, order)]
+        noise = [
+            math.sqrt(density * (2 * math.pi) ** (2 * n) * cutoff ** (2 * n + 1) / (2 * n + 1))
+            for n in (order - 1, order)
+        ]
         if noise[1] < ACCELERATION_NOISE * float(np.std(a)) or cutoff < LOWEST_CUTOFF:
             break
         cutoff *= CUTOFF_STEP
@@ -86,20 +101,30 @@ def _motion(y: Array, h: float, step: float, velocity: bool) -> tuple[Array, Arr
 
 
 def regression_rows(
-    columns: Sequence[tuple[Array, Array]], records: Sequence[Record], velocity: bool, steps: bool = True
+    columns: Sequence[tuple[Array, Array]],
+    records: Sequence[Record],
+    velocity: bool,
+    steps: bool = True,
 ) -> Rows | None:
     """Return the rows of all records while they move, or None if there are too few.
 
-    `columns` (n,): torque and output of each record. `records`: give sampling period and resolution. `velocity`: whether the
-    output is a velocity. `steps`: whether the output has the records' resolution.
+    `columns` (n,): torque and output of each record. `records`: give sampling period and
+    resolution. `velocity`: whether the output is a velocity. `steps`: whether the output has the
+    records' resolution.
     """
     torque, core, free, block = [], [], [], []
-    motions = [_motion(y, r.h, (r.resolution or 0.0) * steps, velocity) for (_, y), r in zip(columns, records, strict=True)]
+    motions = [
+        _motion(y, r.h, (r.resolution or 0.0) * steps, velocity)
+        for (_, y), r in zip(columns, records, strict=True)
+    ]
     scale = float(np.sqrt(np.mean(np.concatenate([v**2 for _, _, v, _, _ in motions]))))
-    for number, ((u, _), record, (low, theta, v, a, noise)) in enumerate(zip(columns, records, motions, strict=True)):
+    for number, ((u, _), record, (low, theta, v, a, noise)) in enumerate(
+        zip(columns, records, motions, strict=True)
+    ):
         rest = max(3.0 * noise, 0.02 * scale)
         direction = sosfiltfilt(low, np.where(np.abs(v) > rest, np.sign(v), 0.0))
-        use = np.abs(direction) > 0.9  # not near a reversal, where friction does not follow the sign
+        # not near a reversal, where friction does not follow the sign
+        use = np.abs(direction) > 0.9
         use[:10] = use[-10:] = False  # nor where the filter is not valid
         chosen = np.flatnonzero(use)[:: max(1, round(0.01 / record.h))]
         torque.append(sosfiltfilt(low, u)[chosen])
@@ -120,7 +145,9 @@ def regress(rows: Rows) -> Regression:
     ridge = 1e-9 * len(x) * np.eye(x.shape[1])  # theta, sin and cos are collinear on a small range
     weight = np.ones(len(x))
     for _ in range(8):
-        b = np.linalg.solve((x * weight[:, None]).T @ x + ridge, (x * weight[:, None]).T @ rows.torque)
+        b = np.linalg.solve(
+            (x * weight[:, None]).T @ x + ridge, (x * weight[:, None]).T @ rows.torque
+        )
         r = rows.torque - x @ b
         spread = 1.4826 * float(np.median(np.abs(r))) + 1e-12 * float(np.max(np.abs(rows.torque)))
         weight = np.minimum(1.0, 1.5 * spread / np.maximum(np.abs(r), 1e-300))
@@ -136,7 +163,9 @@ def regress(rows: Rows) -> Regression:
 
 
 def explained_share(rows: Rows | None, sign: float = 1.0) -> tuple[float, Array]:
-    """Return the share of the torque that J, a2 and Fc not below 0 explain, and these (3,), for an input of this sign."""
+    """Return the share of the torque that J, a2 and Fc not below 0 explain, and these (3,), for an
+    input of this sign.
+    """
     if rows is None:
         return 0.0, np.zeros(3)
     size = rows.scale

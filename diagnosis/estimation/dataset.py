@@ -1,4 +1,6 @@
-"""Records cut into short segments, their smoothed motion, and all else that stays the same during a search."""
+"""Records cut into short segments, their smoothed motion, and all else that stays the same during a
+search.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from bristle.diagnosis.estimation.noise import Noise, estimate, response
 from bristle.records.clock import one_after_the_other, overlap
 
 Mask = NDArray[np.bool_]
-STATE_SMOOTHING = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
+# s: half-width of the parabola that gives position and velocity at the start of a segment
+STATE_SMOOTHING = 0.02
 REST_STEPS = 3.0  # steps of the sensor within the smoothing window: a slower speed counts as rest
 LEAST_NOISE_SEGMENTS = 10  # segments: fewest in motion from which the noise is estimated
 HELD_OUT_EVERY = 4  # segments: one of so many is held out from the search
@@ -27,7 +30,9 @@ WIDE_COST = 3.0  # time of a step of the wide lanes, over that of the narrow one
 
 @dataclass(frozen=True)
 class Grid:
-    """How records are cut: segments of `bins` averages over `width` samples of length `h` [s]; `velocity`: what was measured."""
+    """How records are cut: segments of `bins` averages over `width` samples of length `h` [s];
+    `velocity`: what was measured.
+    """
 
     h: float
     width: int
@@ -42,9 +47,9 @@ class Grid:
 
 @dataclass(frozen=True)
 class Piece:
-    """One record as consecutive segments: time of the first sample [s], inputs (segments * bins * width,), measured
-    averages (segments, bins), states at the starts (segments, 2) with their standard deviations; length of the whole record [s],
-    with what follows its last segment."""
+    """One record as consecutive segments: time of the first sample [s], inputs (segments * bins *
+    width,), measured averages (segments, bins), states at the starts (segments, 2) with their
+    standard deviations; length of the whole record [s], with what follows its last segment."""
 
     name: str
     time: float
@@ -59,14 +64,20 @@ class Piece:
 class Segments(Grid):
     """All records as segments.
 
-    The first segment of each record only sets the hidden states: it is simulated, but not part of the likelihood.
+    The first segment of each record only sets the hidden states: it is simulated, but not part of
+    the likelihood.
     """
 
     pieces: tuple[Piece, ...]
 
     def timed(self, times: Sequence[float]) -> Segments:
         """Return the same with other times of the first samples of the records [s]."""
-        return replace(self, pieces=tuple(replace(piece, time=time) for piece, time in zip(self.pieces, times, strict=True)))
+        return replace(
+            self,
+            pieces=tuple(
+                replace(piece, time=time) for piece, time in zip(self.pieces, times, strict=True)
+            ),
+        )
 
     @property
     def times(self) -> tuple[float, ...]:
@@ -74,7 +85,9 @@ class Segments(Grid):
         return tuple(piece.time for piece in self.pieces)
 
     def consecutive(self, order: Sequence[int]) -> tuple[float, ...]:
-        """Return times of the first samples [s] with which the records, in this order, follow one another without a gap."""
+        """Return times of the first samples [s] with which the records, in this order, follow one
+        another without a gap.
+        """
         seconds = [self.pieces[i].seconds for i in order]
         begins = dict(zip(order, one_after_the_other(min(self.times), seconds), strict=True))
         return tuple(begins[i] for i in range(len(order)))
@@ -82,20 +95,26 @@ class Segments(Grid):
     @property
     def own_clocks(self) -> bool:
         """True if times of the records overlap, so that each has a clock of its own."""
-        return overlap((piece.time, piece.time + self.h * (len(piece.u) - 1)) for piece in self.pieces)
+        return overlap(
+            (piece.time, piece.time + self.h * (len(piece.u) - 1)) for piece in self.pieces
+        )
 
     def clocks(self, timing: str) -> list[tuple[float, ...]]:
-        """Return the times of the first samples that an effect of a `timing` (see `Effect`) calls for, each as of `timed`.
+        """Return the times of the first samples that an effect of a `timing` (see `Effect`) calls
+        for, each as of `timed`.
 
-        Where each record has a clock of its own, nothing says which was measured first: an event is tried with each record as
-        the last one, a course as beginning anew in each record, and as going on from one to the next in the order given.
+        Where each record has a clock of its own, nothing says which was measured first: an event is
+        tried with each record as the last one, a course as beginning anew in each record, and as
+        going on from one to the next in the order given.
         """
         if not (timing and self.own_clocks):
             return [self.times]
         places = range(len(self.pieces))
         if timing == "course":
             return [self.times, self.consecutive(places)]
-        return [self.consecutive([*(i for i in places if i != last), last]) for last in reversed(places)]
+        return [
+            self.consecutive([*(i for i in places if i != last), last]) for last in reversed(places)
+        ]
 
     @property
     def measured(self) -> Array:
@@ -129,13 +148,14 @@ class Segments(Grid):
         return np.concatenate([np.arange(len(piece.measured)) for piece in self.pieces])
 
 
-# -- parts of records that are simulated side by side, one in each lane of the processor's vectors ---------------------------
+# -- parts of records that are simulated side by side, one in each lane of the processor's vectors -
 @dataclass(frozen=True)
 class Chains:
-    """Chains that run side by side, arrays (lanes,): from segment `first` to `end`, counted over all records, and from `times` [s].
+    """Chains that run side by side, arrays (lanes,): from segment `first` to `end`, counted over
+    all records, and from `times` [s].
 
-    Results are those from segment `begin` on. The one before it lets hidden states reach their steady motion, as the first segment
-    of a record does.
+    Results are those from segment `begin` on. The one before it lets hidden states reach their
+    steady motion, as the first segment of a record does.
     """
 
     times: Array
@@ -145,14 +165,18 @@ class Chains:
 
 
 def chains_of(segments: Segments) -> list[Chains]:
-    """Return the chains that are simulated one group after the other: parts of records where that is quicker, or whole ones.
+    """Return the chains that are simulated one group after the other: parts of records where that
+    is quicker, or whole ones.
 
-    Where a velocity was measured records stay whole: no segment says where it begins, so the position is the sum of all before.
+    Where a velocity was measured records stay whole: no segment says where it begins, so the
+    position is the sum of all before.
     """
     counts = [len(piece.measured) for piece in segments.pieces]
     groups, whole = math.ceil(len(counts) / WIDE_LANES), max(counts)
     lengths = [whole] if segments.velocity else range(1, whole + 1)
-    longest = next(n for n in lengths if sum(math.ceil(count / n) for count in counts) <= WIDE_LANES * groups)
+    longest = next(
+        n for n in lengths if sum(math.ceil(count / n) for count in counts) <= WIDE_LANES * groups
+    )
     steps = groups * (longest + (longest < whole))
     wide = WIDE_COST * steps < math.ceil(len(counts) / NARROW_LANES) * whole
     parts = list(_parts(segments, longest if wide else whole))
@@ -161,13 +185,20 @@ def chains_of(segments: Segments) -> list[Chains]:
 
 
 def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, int]]:
-    """Give (time, first, begin, end) of parts of the records, none with more segments than `longest` and the one before."""
+    """Give (time, first, begin, end) of parts of the records, none with more segments than
+    `longest` and the one before.
+    """
     for piece, place in zip(segments.pieces, segments.places, strict=True):
         count = len(piece.measured)
         ends = [round(x) for x in np.linspace(0, count, math.ceil(count / longest) + 1)]
         for begin, end in pairwise(ends):
             first = max(begin - 1, 0)
-            yield piece.time + first * segments.seconds, place.start + first, place.start + begin, place.start + end
+            yield (
+                piece.time + first * segments.seconds,
+                place.start + first,
+                place.start + begin,
+                place.start + end,
+            )
 
 
 def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chains:
@@ -179,7 +210,9 @@ def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chain
 
 @dataclass(frozen=True)
 class Motion:
-    """The measured motion over all segments, one sample after the other, arrays (segments * bins * width,)."""
+    """The measured motion over all segments, one sample after the other, arrays (segments * bins *
+    width,).
+    """
 
     theta: Array
     v: Array
@@ -191,7 +224,9 @@ class Motion:
 
 
 def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
-    """Return y or its derivative of an order, from a parabola through the samples within `half` seconds."""
+    """Return y or its derivative of an order, from a parabola through the samples within `half`
+    seconds.
+    """
     reach = max(2, round(half / h))
     reach = min(reach, (len(y) - 1) // 2)
     kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
@@ -217,13 +252,19 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
     else:
         v = smooth(y, h, STATE_SMOOTHING, 1)
         initial = np.column_stack([level[first], v[first]])
-        initial_sd = np.column_stack([np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])])
+        initial_sd = np.column_stack(
+            [np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])]
+        )
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
-    return Piece(name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u))
+    return Piece(
+        name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u)
+    )
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:
-    """Return the smoothed motion of the records whose measured outputs (n,) are given, cut to their segments."""
+    """Return the smoothed motion of the records whose measured outputs (n,) are given, cut to their
+    segments.
+    """
     h, parts = segments.h, []
     for i, (piece, y) in enumerate(zip(segments.pieces, outputs, strict=True)):
         n = len(piece.u)
@@ -246,9 +287,12 @@ class Dataset:
     segments: Segments
     motion: Motion
     resolution: float  # step of the sensor [unit of the output]
-    least_sd: float  # standard deviation of an average below which the sensor's noise cannot be [unit of the output]
-    poor_excitation: str = ""  # why effects cannot be distinguished by their form in these records; empty if they can
-    excluded: Mapping[str, str] = field(default_factory=dict)  # why an effect is no candidate, by its name
+    # standard deviation of an average below which the sensor's noise cannot be [unit of the output]
+    least_sd: float
+    # why effects cannot be distinguished by their form in these records; empty if they can
+    poor_excitation: str = ""
+    # why an effect is no candidate, by its name
+    excluded: Mapping[str, str] = field(default_factory=dict)
     linear: bool = False  # True if the axis does not turn
     turn: float = 2 * math.pi  # path after which the motion repeats [rad or m]: one turn of a shaft
     input_may_change: bool = False  # True if the input may change between samples
@@ -260,13 +304,19 @@ class Dataset:
 
     @cached_property
     def held_out(self) -> Mask:
-        """Segments held out from the search: none with an extreme of position or input, which may show something unique.
+        """Segments held out from the search: none with an extreme of position or input, which may
+        show something unique.
 
-        If no other is left, as in a record of two seconds, those with an extreme are held out too, or the last one.
+        If no other is left, as in a record of two seconds, those with an extreme are held out too,
+        or the last one.
         """
         m = self.motion
         counted = np.repeat(self.segments.counted, len(m.theta) // len(self.segments.counted))
-        ends = [int(np.argmax(np.where(counted, side * x, -np.inf))) for x in (m.theta, m.u) for side in (1, -1)]
+        ends = [
+            int(np.argmax(np.where(counted, side * x, -np.inf)))
+            for x in (m.theta, m.u)
+            for side in (1, -1)
+        ]
         free = np.ones(len(self.segments.counted), dtype=bool)
         free[np.array(ends) * len(free) // len(m.theta)] = False
         every = self.segments.counted & (self.segments.block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
@@ -274,14 +324,20 @@ class Dataset:
         return next(np.asarray(mask) for mask in (every & free, every, last) if mask.any())
 
     def time_at(self, times: Sequence[float]) -> Array:
-        """Return the time of each sample of the motion [s] with other times of the first samples of the records."""
+        """Return the time of each sample of the motion [s] with other times of the first samples of
+        the records.
+        """
         shift = np.array(times) - np.array(self.segments.times)
         return np.asarray(self.motion.time + shift[self.motion.record])
 
-    def noise(self, residual: Array, weight: Array, values: Mapping[str, float], slowest: float = 0.0) -> Noise:
-        """Return the noise of a residual (segments, bins), from the segments in motion; `slowest` as of `estimate`.
+    def noise(
+        self, residual: Array, weight: Array, values: Mapping[str, float], slowest: float = 0.0
+    ) -> Noise:
+        """Return the noise of a residual (segments, bins), from the segments in motion; `slowest`
+        as of `estimate`.
 
-        At rest friction absorbs the disturbance and the sensor repeats its last step: such segments do not show the noise.
+        At rest friction absorbs the disturbance and the sensor repeats its last step: such segments
+        do not show the noise.
         """
         s = self.segments
         share = self.motion.moving.reshape(len(residual), -1).mean(axis=1)

@@ -16,13 +16,16 @@ from bristle.diagnosis.estimation.simulator import Servo
 NOISE_FIT_ITERATIONS = 40  # steps of a fit under a given noise
 NOISE_PASSES = 8  # most alternations of noise and parameters
 FAST_NOISE_PASSES = 2  # alternations under a noise that is kept fast
-FAST_CORNER = 10.0  # Hz: a disturbance with at least this corner frequency cannot hide a slow effect
+# Hz: a disturbance with at least this corner frequency cannot hide a slow effect
+FAST_CORNER = 10.0
 BRIEF_CORNER = 30.0  # Hz: least corner frequency of a noise that is kept fast
-POOR_FIT_SHARE = 0.03  # of the motion's square: a larger error calls for start values from the inverse dynamics
+# of the motion's square: a larger error calls for start values from the inverse dynamics
+POOR_FIT_SHARE = 0.03
 DIVERGED_SHARE = 1.0  # of the motion's square: a model with a larger error has diverged
 REDUCED_FRICTION = 0.5  # of the dry friction: start value for a model that diverges
 OUTLIER_WEIGHT = 0.16  # weight, usually about 1, below which a segment is an outlier
-LARGE_DISTURBANCE = 0.15  # of the input's torque, rms: a larger disturbance hints at a missing effect
+# of the input's torque, rms: a larger disturbance hints at a missing effect
+LARGE_DISTURBANCE = 0.15
 TIE_NATS = 6.0  # nats: fits closer than this are a tie
 
 
@@ -36,22 +39,34 @@ class FittedModel:
 
 
 def under_own_noise(dataset: Dataset, fit: Fit, slowest: float = 0.0) -> Problem:
-    """Return the problem of the training segments under the noise of a fit's residual; `slowest` as of `noise.estimate`."""
-    return Problem.of(dataset.segments, dataset.noise(fit.residual, fit.weight, fit.values, slowest), dataset.train)
+    """Return the problem of the training segments under the noise of a fit's residual; `slowest` as
+    of `noise.estimate`.
+    """
+    return Problem.of(
+        dataset.segments,
+        dataset.noise(fit.residual, fit.weight, fit.values, slowest),
+        dataset.train,
+    )
 
 
 def refit_with_noise(dataset: Dataset, fit: Fit) -> Fit:
     """Return a fit refitted under the noise of its own residual, until neither changes.
 
-    A slow noise can absorb what a model explains only in part, so that parameters and noise keep each other where they
-    are. A second refit therefore begins under a noise that is kept fast; the more likely result counts.
+    A slow noise can absorb what a model explains only in part, so that parameters and noise keep
+    each other where they are. A second refit therefore begins under a noise that is kept fast; the
+    more likely result counts.
     """
     end = _alternate(dataset, fit)
     if end.noise.corner >= FAST_CORNER:
         return end
     fast = fit
     for _ in range(FAST_NOISE_PASSES):
-        fast = resume(under_own_noise(dataset, fast, BRIEF_CORNER), fast, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN)
+        fast = resume(
+            under_own_noise(dataset, fast, BRIEF_CORNER),
+            fast,
+            NOISE_FIT_ITERATIONS,
+            ROUGH_STOP_GAIN,
+        )
     return max(end, _alternate(dataset, fast), key=lambda each: each.total)
 
 
@@ -72,17 +87,22 @@ def fit_with_noise(dataset: Dataset, servo: Servo, values: Mapping[str, float]) 
     simulated, _, good, _ = simulator.run(values, initial)
     residual = np.where(good[:, None], dataset.segments.measured - simulated, 0.0)
     noise = dataset.noise(residual, (dataset.train & good).astype(float), values)
-    problem, point = Problem.of(dataset.segments, noise, dataset.train), Point(simulator, servo.free, dict(values), initial)
+    problem, point = (
+        Problem.of(dataset.segments, noise, dataset.train),
+        Point(simulator, servo.free, dict(values), initial),
+    )
     fit = refit_with_noise(dataset, refit(problem, point, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN))
     problem = under_own_noise(dataset, fit)
     return FittedModel(servo, problem, resume(problem, fit))
 
 
-def fit_from_several_starts(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> FittedModel:
+def fit_from_several_starts(
+    dataset: Dataset, servo: Servo, values: Mapping[str, float]
+) -> FittedModel:
     """Fit a servo and its noise from given values and, if that fits poorly, from others.
 
-    These are the parameters of the inverse dynamics and, where the servo diverges, less dry friction. Of results in a tie
-    the one with the fewest parameters at their bounds is returned.
+    These are the parameters of the inverse dynamics and, where the servo diverges, less dry
+    friction. Of results in a tie the one with the fewest parameters at their bounds is returned.
     """
     first = fit_with_noise(dataset, servo, values)
     if not fits_poorly(dataset, first.fit):
@@ -92,12 +112,21 @@ def fit_from_several_starts(dataset: Dataset, servo: Servo, values: Mapping[str,
     ends = [first, *(fit_with_noise(dataset, servo, {**values, **other}) for other in others)]
     most = max(fitted.fit.total for fitted in ends)
     tied = [s for s in ends if s.fit.total > most - TIE_NATS]
-    return min(tied, key=lambda s: (sum(f.at_bound(s.fit.values[f.name]) for f in s.servo.free), -s.fit.total))
+    return min(
+        tied,
+        key=lambda s: (sum(f.at_bound(s.fit.values[f.name]) for f in s.servo.free), -s.fit.total),
+    )
 
 
 def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
-    """Return start values with less dry friction than a servo has; none if its law has no dry friction."""
-    return {f.name: REDUCED_FRICTION * fitted.fit.values[f.name] for f in fitted.servo.free if f.name.endswith(".Fc")}
+    """Return start values with less dry friction than a servo has; none if its law has no dry
+    friction.
+    """
+    return {
+        f.name: REDUCED_FRICTION * fitted.fit.values[f.name]
+        for f in fitted.servo.free
+        if f.name.endswith(".Fc")
+    }
 
 
 def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
@@ -107,7 +136,9 @@ def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
 
 
 def relative_error(dataset: Dataset, fit: Fit) -> float:
-    """Return the squared error over that of the motion within segments, less a straight line each."""
+    """Return the squared error over that of the motion within segments, less a straight line
+    each.
+    """
     s = dataset.segments
     ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
     moved = (s.measured - (s.measured @ ramp) @ ramp.T)[dataset.train]
@@ -125,8 +156,13 @@ def has_diverged(dataset: Dataset, fit: Fit) -> bool:
 
 
 def has_outliers_or_disturbance(dataset: Dataset, fit: Fit) -> bool:
-    """True if some training segment is an outlier, or the estimated disturbance is a large part of the torque."""
-    return bool(fit.weight[dataset.train].min() < OUTLIER_WEIGHT) or disturbance_ratio(dataset, fit) > LARGE_DISTURBANCE
+    """True if some training segment is an outlier, or the estimated disturbance is a large part of
+    the torque.
+    """
+    return (
+        bool(fit.weight[dataset.train].min() < OUTLIER_WEIGHT)
+        or disturbance_ratio(dataset, fit) > LARGE_DISTURBANCE
+    )
 
 
 def disturbance_ratio(dataset: Dataset, fit: Fit) -> float:

@@ -1,10 +1,13 @@
-"""Inverse dynamics: torques along the measured motion against the measured output, for start values of a fit.
+"""Inverse dynamics: torques along the measured motion against the measured output, for start values
+of a fit.
 
-A simulation from a bad model may stick where the rig moves, and then its derivatives vanish. Along the measured motion
-this cannot happen: the acceleration of model and effect is integrated twice and compared with the measured output. Noise of
-the motion makes the estimates less accurate than those of a simulation: they serve as start values only.
+A simulation from a bad model may stick where the rig moves, and then its derivatives vanish. Along
+the measured motion this cannot happen: the acceleration of model and effect is integrated twice and
+compared with the measured output. Noise of the motion makes the estimates less accurate than those
+of a simulation: they serve as start values only.
 
-Source: janot2019 (inverse dynamic model, linear in most parameters), in integral form to avoid differentiating the output.
+Source: janot2019 (inverse dynamic model, linear in most parameters), in integral form to avoid
+differentiating the output.
 """
 
 from __future__ import annotations
@@ -41,12 +44,22 @@ BALANCE_INPUTS = ("theta", "v", "u", "time")  # on which alone the acceleration 
 
 
 @lru_cache(maxsize=64)
-def _acceleration(law: str, effects: Names, free: Names) -> tuple[Callable[[Sequence[Array | float]], list[Array]], Names]:
-    """Return acceleration and derivatives by the free parameters as a function of motion and parameters, and their names."""
+def _acceleration(
+    law: str, effects: Names, free: Names
+) -> tuple[Callable[[Sequence[Array | float]], list[Array]], Names]:
+    """Return acceleration and derivatives by the free parameters as a function of motion and
+    parameters, and their names.
+    """
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
     hidden = set(system.states) - {"theta", "v"}
-    if hidden or system.before or system.after or system.modes or any(e.output or e.coupling for e in members):
+    if (
+        hidden
+        or system.before
+        or system.after
+        or system.modes
+        or any(e.output or e.coupling for e in members)
+    ):
         raise NotStaticError
     rate, v = system.rates["v"], system.symbols["v"]
     if system.dry is not None:
@@ -56,15 +69,21 @@ def _acceleration(law: str, effects: Names, free: Names) -> tuple[Callable[[Sequ
     inputs = [system.symbols[name] if name != "time" else system.time for name in BALANCE_INPUTS]
     given = [system.symbols[name] for name in names]
     still = {"tau_load": 0.0, "load_scale": 1.0}
-    rate = ca.substitute(system.expand(rate), ca.vertcat(*(system.symbols[name] for name in still)), ca.DM(list(still.values())))
+    rate = ca.substitute(
+        system.expand(rate),
+        ca.vertcat(*(system.symbols[name] for name in still)),
+        ca.DM(list(still.values())),
+    )
     both = ca.vertcat(rate, *(ca.jacobian(rate, system.symbols[name]) for name in free))
-    return for_arrays(ca.Function("balance", [ca.vertcat(*inputs, *given)], ca.cse([ca.densify(both)]))), names
+    return for_arrays(
+        ca.Function("balance", [ca.vertcat(*inputs, *given)], ca.cse([ca.densify(both)]))
+    ), names
 
 
 @dataclass(frozen=True)
 class Balanced:
-    """Parameters that balance the torques, their log-likelihood [nats, up to a constant], whitened residuals (segments,
-    bins) and weights (segments,)."""
+    """Parameters that balance the torques, their log-likelihood [nats, up to a constant], whitened
+    residuals (segments, bins) and weights (segments,)."""
 
     values: dict[str, float]
     total: float
@@ -73,9 +92,13 @@ class Balanced:
 
 
 class Balance:
-    """The measured motion of the segments that count (`counted`), an average per bin; `fixed`: settings of the simulation."""
+    """The measured motion of the segments that count (`counted`), an average per bin; `fixed`:
+    settings of the simulation.
+    """
 
-    def __init__(self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Values) -> None:
+    def __init__(
+        self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Values
+    ) -> None:
         s, self._counted, self._fixed = segments, counted, fixed
         self.shape, self.step = (len(s.measured), s.bins), s.h * s.width
 
@@ -83,9 +106,14 @@ class Balance:
             return np.asarray(x.reshape(-1, s.width).mean(axis=1))
 
         self.motion = Motion(
-            mean(motion.theta), mean(motion.v), mean(motion.a), mean(motion.u), mean(motion.time),
-            mean(motion.moving.astype(float)) > 0.5, motion.record[:: s.width],
-        )  # fmt: skip
+            mean(motion.theta),
+            mean(motion.v),
+            mean(motion.a),
+            mean(motion.u),
+            mean(motion.time),
+            mean(motion.moving.astype(float)) > 0.5,
+            motion.record[:: s.width],
+        )
         self._moving = self.motion.moving.reshape(self.shape)
         fine = response(1.0, 0.0, s.h, s.width, s.bins, s.velocity)
         self._pulses = fine.reshape(s.bins, s.bins, s.width).sum(axis=2)
@@ -102,8 +130,14 @@ class Balance:
 
     def under_white_noise(self, law: str, effects: Names, values: Values) -> Balance:
         """Return the same under a white noise as large as the residual."""
-        white = self.under(white_noise(len(self._start), 1.0))._project_averages(self.residual(law, effects, values))
-        return self.under(white_noise(len(self._start), max(float(np.sqrt(np.mean(white[self._counted] ** 2))), 1e-12)))
+        white = self.under(white_noise(len(self._start), 1.0))._project_averages(
+            self.residual(law, effects, values)
+        )
+        return self.under(
+            white_noise(
+                len(self._start), max(float(np.sqrt(np.mean(white[self._counted] ** 2))), 1e-12)
+            )
+        )
 
     def _project_averages(self, averages: Array) -> Array:
         return np.asarray(averages @ self._project.T)
@@ -115,7 +149,9 @@ class Balance:
         self._white, self._log_det = self._project_averages(self._measured), noise.log_det
 
     def respond(self, acceleration: Array) -> Array:
-        """Return the response (segments, bins, k) of the whitened averages to accelerations (points, k), which are 0 at rest."""
+        """Return the response (segments, bins, k) of the whitened averages to accelerations
+        (points, k), which are 0 at rest.
+        """
         moving = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
         return np.asarray(np.einsum("nl,slk->snk", self._through, moving, optimize=True))
 
@@ -123,8 +159,12 @@ class Balance:
         """Return 1 for segments that count (segments,), else 0."""
         return (self._counted & np.isfinite(residual).all(axis=1)).astype(float)
 
-    def _acceleration_along(self, law: str, effects: Names, free: Parameters, values: Values) -> tuple[Array, Array]:
-        """Return accelerations (points,) along the motion and their slopes (points, free) on each parameter's scale."""
+    def _acceleration_along(
+        self, law: str, effects: Names, free: Parameters, values: Values
+    ) -> tuple[Array, Array]:
+        """Return accelerations (points,) along the motion and their slopes (points, free) on each
+        parameter's scale.
+        """
         function, names = _acceleration(law, effects, tuple(f.name for f in free))
         known = {**_defaults(law, effects), **self._fixed, **values}
         m = self.motion
@@ -133,35 +173,56 @@ class Balance:
         scale = [values[f.name] if f.factor else 1.0 for f in free]
         return a, np.column_stack(by) * scale if free else np.empty((len(a), 0))
 
-    def evaluate(self, law: str, effects: Names, free: Parameters, values: Values) -> tuple[Array, Array]:
-        """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of the model's averages."""
+    def evaluate(
+        self, law: str, effects: Names, free: Parameters, values: Values
+    ) -> tuple[Array, Array]:
+        """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of the
+        model's averages.
+        """
         a, by = self._acceleration_along(law, effects, free, values)
         return self._white - self.respond(a[:, None])[:, :, 0], self.respond(by)
 
     def residual(self, law: str, effects: Names, values: Values) -> Array:
-        """Return the residual of the averages (segments, bins) [unit of the output], initial states not projected out."""
+        """Return the residual of the averages (segments, bins) [unit of the output], initial states
+        not projected out.
+        """
         a, _ = self._acceleration_along(law, effects, (), values)
         return np.asarray(self._measured - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
 
-    def fit(self, law: str, effects: Names, free: Parameters, values: Values, steps: int = BALANCE_ITERATIONS) -> Balanced:
-        """Return the parameters in their intervals that balance the torques best, from start values.
+    def fit(
+        self,
+        law: str,
+        effects: Names,
+        free: Parameters,
+        values: Values,
+        steps: int = BALANCE_ITERATIONS,
+    ) -> Balanced:
+        """Return the parameters in their intervals that balance the torques best, from start
+        values.
 
         Levenberg-Marquardt; misfits have a t distribution, as those of a simulation.
         """
-        best = self._at(law, effects, free, {**values, **{f.name: f.clip(values[f.name]) for f in free}})
+        best = self._at(
+            law, effects, free, {**values, **{f.name: f.clip(values[f.name]) for f in free}}
+        )
         damping = BALANCE_DAMPING
         for _ in range(steps):
             found, slopes = best
             normal = np.einsum("s,snp,snq->pq", found.weight, slopes, slopes, optimize=True)
             pull = np.einsum("s,snp,sn->p", found.weight, slopes, found.residual, optimize=True)
             scale = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
-            active = np.array([not f.leaves(found.values[f.name], p) for f, p in zip(free, pull, strict=True)], dtype=bool)
+            active = np.array(
+                [not f.leaves(found.values[f.name], p) for f, p in zip(free, pull, strict=True)],
+                dtype=bool,
+            )
             if not active.any():
                 break
             step = np.zeros(len(free))
             size = np.sqrt(np.diag(normal) + scale)
             table = (normal + np.diag(scale)) / np.outer(size, size)
-            step[active] = np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
+            step[active] = (
+                np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
+            )
             trial = self._at(law, effects, free, moved(free, found.values, step))
             gain = trial[0].total - found.total
             if gain > 0:
@@ -172,19 +233,35 @@ class Balance:
                 break
         return best[0]
 
-    def _at(self, law: str, effects: Names, free: Parameters, values: dict[str, float]) -> tuple[Balanced, Array]:
+    def _at(
+        self, law: str, effects: Names, free: Parameters, values: dict[str, float]
+    ) -> tuple[Balanced, Array]:
         residual, slopes = self.evaluate(law, effects, free, values)
-        finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
-        residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)
+        finite = np.asarray(
+            np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+        )
+        residual, slopes = (
+            np.where(finite[:, None], residual, 1e3),
+            np.where(finite[:, None, None], slopes, 0.0),
+        )
         n = residual.shape[1] - self._start.shape[1]
         misfit = np.square(residual).sum(axis=1)
-        weight = np.where(self._counted, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)
-        score = 0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(misfit / T_DEGREES_OF_FREEDOM) + 0.5 * self._log_det
+        weight = np.where(
+            self._counted, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0
+        )
+        score = (
+            0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(misfit / T_DEGREES_OF_FREEDOM)
+            + 0.5 * self._log_det
+        )
         total = -float(score[self._counted].sum())
         return Balanced(values, total, residual, weight), slopes
 
-    def regress(self, found: Balanced, own: Array, inertia: float, torques: Array) -> tuple[Array, float]:
-        """Return coefficients (k,) of torques (points, k) [N.m] with the model's own slopes, and their gain [nats]."""
+    def regress(
+        self, found: Balanced, own: Array, inertia: float, torques: Array
+    ) -> tuple[Array, float]:
+        """Return coefficients (k,) of torques (points, k) [N.m] with the model's own slopes, and
+        their gain [nats].
+        """
         columns = self.respond(torques / inertia)
         k = columns.shape[2]
         both = np.concatenate([columns, own], axis=2)
@@ -193,37 +270,60 @@ class Balance:
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         table = normal / np.outer(size, size) + 1e-9 * np.eye(len(size))
         answer = np.linalg.solve(table, slope / size) / size
-        alone = np.linalg.solve(table[k:, k:], slope[k:] / size[k:]) / size[k:] if len(size) > k else np.zeros(0)
+        alone = (
+            np.linalg.solve(table[k:, k:], slope[k:] / size[k:]) / size[k:]
+            if len(size) > k
+            else np.zeros(0)
+        )
         return answer[:k], 0.5 * float(slope @ answer - slope[k:] @ alone)
 
 
 class BalancedModel:
-    """The model fitted to the balance of torques along the measured motion, under white and under coloured noise.
+    """The model fitted to the balance of torques along the measured motion, under white and under
+    coloured noise.
 
-    `balance`: the measured motion. `servo`: law and effects, with their free parameters. `values`: start values of these.
-    `estimate`: returns the noise of a residual (segments, bins), given the weights of segments and the values of parameters.
+    `balance`: the measured motion. `servo`: law and effects, with their free parameters. `values`:
+    start values of these. `estimate`: returns the noise of a residual (segments, bins), given the
+    weights of segments and the values of parameters.
 
-    `fits`: empty where the model has hidden states, so that a balance does not determine the acceleration.
+    `fits`: empty where the model has hidden states, so that a balance does not determine the
+    acceleration.
     """
 
-    def __init__(self, balance: Balance, servo: Servo, values: Values, estimate: Callable[[Array, Array, Values], Noise]) -> None:
+    def __init__(
+        self,
+        balance: Balance,
+        servo: Servo,
+        values: Values,
+        estimate: Callable[[Array, Array, Values], Noise],
+    ) -> None:
         self.servo, self._estimate = servo, estimate
         self.free = tuple(f for f in servo.free if not f.name.startswith(f"{OWN_BRISTLES}."))
-        given = {name: value for name, value in values.items() if not name.startswith(f"{OWN_BRISTLES}.")}
-        # the coloured noise of a model without an effect absorbs a large effect; white noise does not
+        given = {
+            name: value for name, value in values.items() if not name.startswith(f"{OWN_BRISTLES}.")
+        }
+        # the coloured noise of a model without an effect absorbs a large effect; white noise does
+        # not
         self.fits: list[tuple[Balance, Balanced]] = []
         try:
             plain = balance.under_white_noise(servo.law, servo.effects, given)
             found = plain.fit(servo.law, servo.effects, self.free, given)
-            self.fits = [(plain, found), self.refit_with_noise(plain, servo.effects, self.free, found)]
+            self.fits = [
+                (plain, found),
+                self.refit_with_noise(plain, servo.effects, self.free, found),
+            ]
         except NotStaticError:
             pass
 
-    def refit_with_noise(self, balance: Balance, effects: Names, free: Parameters, found: Balanced) -> tuple[Balance, Balanced]:
+    def refit_with_noise(
+        self, balance: Balance, effects: Names, free: Parameters, found: Balanced
+    ) -> tuple[Balance, Balanced]:
         """Return a fit under the noise of its own residual."""
         for _ in range(BALANCE_NOISE_PASSES):
             residual = balance.residual(self.servo.law, effects, found.values)
-            balance = balance.under(self._estimate(residual, balance.weight(residual), found.values))
+            balance = balance.under(
+                self._estimate(residual, balance.weight(residual), found.values)
+            )
             found = balance.fit(self.servo.law, effects, free, found.values)
         return balance, found
 

@@ -1,4 +1,6 @@
-"""Noise of a residual when nothing is missing: a coloured torque through the servo, and the noise of the sensor."""
+"""Noise of a residual when nothing is missing: a coloured torque through the servo, and the noise
+of the sensor.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,22 @@ CORNERS = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz: corner frequencies of the disturb
 RATIOS = np.logspace(-4, 8, 61)  # variance of the output by the disturbance over that by the sensor
 
 
-def response(inertia: float, damping: float, h: float, width: int, bins: int, velocity: bool) -> Array:
-    """Return the averages (bins) that a torque of 1 N.m held over one sample (width * bins columns) gives.
+def response(
+    inertia: float, damping: float, h: float, width: int, bins: int, velocity: bool
+) -> Array:
+    """Return the averages (bins) that a torque of 1 N.m held over one sample (width * bins columns)
+    gives.
 
-    Exact for J v' = T - d v held over a sample. Source: astrom2008 (step response of a first-order lag).
+    Exact for J v' = T - d v held over a sample. Source: astrom2008 (step response of a first-order
+    lag).
     """
     n = width * bins
     t = h * np.arange(n + 1)
     rate = max(damping / inertia, 1e-9)
     lag = -np.expm1(-rate * t) / rate  # velocity after a unit acceleration of duration t
     kernel = lag if velocity else (t - lag) / rate
-    step = np.diff(kernel, prepend=0.0) / inertia  # response after k samples to a pulse one sample long
+    # response after k samples to a pulse one sample long
+    step = np.diff(kernel, prepend=0.0) / inertia
     delay = np.arange(n)[:, None] - np.arange(n)[None, :]
     table = np.where(delay > 0, step[np.clip(delay, 0, n)], 0.0)
     return np.asarray(table.reshape(bins, width, n).mean(axis=1))
@@ -34,7 +41,8 @@ def response(inertia: float, damping: float, h: float, width: int, bins: int, ve
 class Noise:
     """Gaussian noise of a segment's averages."""
 
-    whiten: Array  # (bins, bins): multiplies averages from the left, so that their covariance becomes 1
+    # (bins, bins): multiplies averages from the left, so that their covariance becomes 1
+    whiten: Array
     log_det: float  # logarithm of the determinant of the covariance
     torque: float  # standard deviation of the disturbance [N.m]
     corner: float  # corner frequency of the disturbance [Hz]
@@ -42,12 +50,16 @@ class Noise:
 
 
 def white_noise(bins: int, level: float) -> Noise:
-    """Return the noise of a sensor alone, with a standard deviation of averages [unit of the output]."""
+    """Return the noise of a sensor alone, with a standard deviation of averages [unit of the
+    output].
+    """
     return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
 
 
 def colour(pulses: Array, corner: float, h: float) -> Array:
-    """Return the covariance of averages under a first-order noise torque of variance 1 with a corner frequency [Hz]."""
+    """Return the covariance of averages under a first-order noise torque of variance 1 with a
+    corner frequency [Hz].
+    """
     return np.asarray(pulses @ _memory(pulses.shape[1], 2 * np.pi * corner * h) @ pulses.T)
 
 
@@ -57,12 +69,14 @@ def _memory(n: int, decay: float) -> Array:
     return np.asarray(np.exp(-decay * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))))
 
 
-def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float, slowest: float = 0.0) -> Noise:
+def estimate(
+    residual: Array, weights: Array, pulses: Array, h: float, least: float, slowest: float = 0.0
+) -> Noise:
     """Return the most likely noise of residuals (segments, bins), given the weight of each segment.
 
-    The initial states of segments are unknown, so that constants and ramps carry no information and are projected out.
-    Parameters: pulses as of `response`; least: smallest standard deviation of an average by the sensor; slowest: smallest
-    corner frequency of the disturbance [Hz].
+    The initial states of segments are unknown, so that constants and ramps carry no information and
+    are projected out. Parameters: pulses as of `response`; least: smallest standard deviation of an
+    average by the sensor; slowest: smallest corner frequency of the disturbance [Hz].
 
     Source: patterson1971 (restricted maximum likelihood).
     """
@@ -79,11 +93,19 @@ def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: fl
         power = np.einsum("ij,ik,kj->j", vectors, sample, vectors)
         spectrum = 1 + RATIOS[:, None] * np.maximum(values, 0.0)
         level = np.maximum((power / spectrum).mean(axis=1), least**2)
-        cost = np.log(level[:, None] * spectrum).sum(axis=1) + (power / (level[:, None] * spectrum)).sum(axis=1)
+        cost = np.log(level[:, None] * spectrum).sum(axis=1) + (
+            power / (level[:, None] * spectrum)
+        ).sum(axis=1)
         k = int(np.argmin(cost))
         if cost[k] < best[0]:
             best = (float(cost[k]), float(level[k]), float(level[k] * RATIOS[k] / unit), corner)
     _, sensor, torque, corner = best
     covariance = sensor * np.eye(bins) + torque * colour(pulses, corner, h)
     factor = np.linalg.cholesky(covariance)
-    return Noise(np.linalg.inv(factor), 2 * float(np.log(np.diag(factor)).sum()), torque**0.5, corner, sensor**0.5)
+    return Noise(
+        np.linalg.inv(factor),
+        2 * float(np.log(np.diag(factor)).sum()),
+        torque**0.5,
+        corner,
+        sensor**0.5,
+    )

@@ -1,4 +1,6 @@
-"""Refit by simulation: parameters and the initial states of all segments, robust against outliers."""
+"""Refit by simulation: parameters and the initial states of all segments, robust against
+outliers.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,18 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluat
 from bristle.diagnosis.estimation.simulator import Free
 from bristle.plant.effects import effect as find_effect
 
-NoiseProblem = Callable[[Fit], Problem]  # the problem under which a fit is compared, such as that of its own noise
+# the problem under which a fit is compared, such as that of its own noise
+NoiseProblem = Callable[[Fit], Problem]
 
 STOP_GAIN = 0.05  # nats: a fit ends when the next step predicts less
 ROUGH_STOP_GAIN = 0.5  # nats: the same for fits that are only compared
 FIT_ITERATIONS = 15  # steps of a fit
 INITIAL_STATE_STEPS = 5  # steps of the initial states alone
-KEPT_SHARE = 0.5  # of the predicted gain: a step that gains less refines the initial states of a load with free play
+# of the predicted gain: a step that gains less refines the initial states of a load with free play
+KEPT_SHARE = 0.5
 FAILED_STEPS = 3  # steps in a row that gain nothing, after which a fit ends
-LARGE_PREDICTED_GAIN = 10.0  # nats: with such a predicted gain a fit does not end after failed steps
+# nats: with such a predicted gain a fit does not end after failed steps
+LARGE_PREDICTED_GAIN = 10.0
 FIT_DAMPING = 1e-3  # Levenberg-Marquardt damping at the start, relative to the curvature
 NONSMOOTH_TRIALS = 6  # random values tried for each parameter of a nonsmooth effect in a round
 NONSMOOTH_SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread of these values, relative, one a round
@@ -37,7 +42,9 @@ LOAD_PASSES = 6  # most alternations of the load's initial place and all paramet
 
 
 def gradient_of(fit: Fit) -> Array:
-    """Return the gradient of the log-likelihood, prior knowledge included (free,), on the scale of each parameter's steps."""
+    """Return the gradient of the log-likelihood, prior knowledge included (free,), on the scale of
+    each parameter's steps.
+    """
     gradient = np.asarray(fit.weight @ fit.slopes)
     for i, f in enumerate(fit.free):
         if f.nominal is not None:
@@ -46,13 +53,19 @@ def gradient_of(fit: Fit) -> Array:
 
 
 def damped(information: Array, damping: float) -> Array:
-    """Return an information (k, k) with each curvature enlarged by a share, and by enough to be inverted where there is none."""
+    """Return an information (k, k) with each curvature enlarged by a share, and by enough to be
+    inverted where there is none.
+    """
     diagonal = np.diag(information)
-    return np.asarray(information + np.diag(damping * diagonal + 1e-12 * (1 + diagonal.max(initial=0.0))))
+    return np.asarray(
+        information + np.diag(damping * diagonal + 1e-12 * (1 + diagonal.max(initial=0.0)))
+    )
 
 
 def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
-    """Return the step of the parameters (free,), of the initial states (segments, width), and the predicted gain [nats]."""
+    """Return the step of the parameters (free,), of the initial states (segments, width), and the
+    predicted gain [nats].
+    """
     gradient = gradient_of(fit)
     active = np.ones(len(fit.free), dtype=bool)
     step = np.zeros(len(fit.free))
@@ -60,7 +73,9 @@ def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
         h = damped(fit.information[np.ix_(active, active)], damping)
         step = np.zeros(len(fit.free))
         step[active] = np.linalg.solve(h, gradient[active])
-        leaving = [i for i, f in enumerate(fit.free) if active[i] and f.leaves(fit.values[f.name], step[i])]
+        leaving = [
+            i for i, f in enumerate(fit.free) if active[i] and f.leaves(fit.values[f.name], step[i])
+        ]
         if not leaving:
             break
         active[leaving] = False
@@ -76,11 +91,16 @@ def predicted_gain(fit: Fit) -> float:
 
 
 def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
-    """Return the parameters of one name's beginning that end at a bound other than 0, each with the gain beyond it [nats].
+    """Return the parameters of one name's beginning that end at a bound other than 0, each with the
+    gain beyond it [nats].
 
-    The gain is that predicted where the bound is taken away and all parameters within their intervals follow.
+    The gain is that predicted where the bound is taken away and all parameters within their
+    intervals follow.
     """
-    gradient, inside = gradient_of(fit), [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
+    gradient, inside = (
+        gradient_of(fit),
+        [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])],
+    )
     found = {}
     for i, f in enumerate(fit.free):
         if not (f.name.startswith(prefix) and f.at_binding_bound(fit.values[f.name])):
@@ -93,56 +113,81 @@ def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
     return found
 
 
-def refit(problem: Problem, start: Point, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN) -> Fit:
-    """Maximise the likelihood from a start value of parameters and initial states, moved into the intervals of the parameters."""
+def refit(
+    problem: Problem, start: Point, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN
+) -> Fit:
+    """Maximise the likelihood from a start value of parameters and initial states, moved into the
+    intervals of the parameters.
+    """
     values = {**start.values, **{f.name: f.clip(start.values[f.name]) for f in start.free}}
     return maximise(problem, evaluate(problem, start.at(values)), iterations, stop_gain)
 
 
-def resume(problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN) -> Fit:
-    """Maximise the likelihood from a fit, under the noise and with the segments of another problem."""
+def resume(
+    problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN
+) -> Fit:
+    """Maximise the likelihood from a fit, under the noise and with the segments of another
+    problem.
+    """
     return maximise(problem, rescored(problem, fit), iterations, stop_gain)
 
 
-def maximise(problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN) -> Fit:
+def maximise(
+    problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN
+) -> Fit:
     """Maximise the likelihood from a fit under the same problem.
 
-    Levenberg-Marquardt with the exact derivatives of the simulated steps; the misfit of a segment has a t distribution, so
-    that outliers do not decide. In a segment that gets worse the next step of the initial state is shorter: where a servo
-    sticks and slips, an initial state cannot be improved by its derivatives alone.
+    Levenberg-Marquardt with the exact derivatives of the simulated steps; the misfit of a segment
+    has a t distribution, so that outliers do not decide. In a segment that gets worse the next step
+    of the initial state is shorter: where a servo sticks and slips, an initial state cannot be
+    improved by its derivatives alone.
 
-    Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of the initial states).
+    Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of the
+    initial states).
     """
     damping, trust, failed = FIT_DAMPING, np.ones(len(fit.initial)), 0
     for _ in range(iterations):
         step, back, predicted = _direction(fit, damping)
         around = stepped_states(problem, fit, trust[:, None] * back)
         trial = evaluate(problem, fit.at(moved(fit.free, fit.values, step), around))
-        if fit.simulator.play and gain_of_trial(problem, fit, trial) < max(KEPT_SHARE * predicted, stop_gain):
+        if fit.simulator.play and gain_of_trial(problem, fit, trial) < max(
+            KEPT_SHARE * predicted, stop_gain
+        ):
             still = evaluate(problem, trial.at(initial=fit.initial))
             better = (trial.score_at_initial > still.score_at_initial).astype(int)
-            trial = refine_initial_states(problem, merge_fits(problem, [still, trial], better), REFINEMENT_STEPS)
+            trial = refine_initial_states(
+                problem, merge_fits(problem, [still, trial], better), REFINEMENT_STEPS
+            )
         gain = gain_of_trial(problem, fit, trial)
-        trust = np.where(trial.score_at_initial < fit.score_at_initial, 0.25 * trust, np.minimum(2 * trust, 1.0))
-        by_states = fit.total - fit.prior - float(fit.score_at_initial[problem.counted].sum())  # predicted of initial states
+        trust = np.where(
+            trial.score_at_initial < fit.score_at_initial, 0.25 * trust, np.minimum(2 * trust, 1.0)
+        )
+        # predicted of initial states
+        by_states = fit.total - fit.prior - float(fit.score_at_initial[problem.counted].sum())
         failed = 0 if gain >= stop_gain else failed + 1
         if gain > 0:
             fit, damping = trial, damping / 5
         else:
             damping = max(damping, 1e-4) * 8
         converged = predicted + min(by_states, stop_gain) < stop_gain
-        if converged or (failed > FAILED_STEPS and (fit.simulator.play or predicted < LARGE_PREDICTED_GAIN)):
+        if converged or (
+            failed > FAILED_STEPS and (fit.simulator.play or predicted < LARGE_PREDICTED_GAIN)
+        ):
             break
     return fit
 
 
 def refit_initial_states(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit with the initial states of the problem's segments refitted and all parameters as they are."""
+    """Return a fit with the initial states of the problem's segments refitted and all parameters as
+    they are.
+    """
     return maximise(problem, evaluate(problem, fit.fixed()), INITIAL_STATE_STEPS)
 
 
 def value_under_noise(fit: Fit, noise_problem: NoiseProblem) -> tuple[float, Fit]:
-    """Return the log-likelihood that the next step predicts [nats], and the fit, both under a noise of its own."""
+    """Return the log-likelihood that the next step predicts [nats], and the fit, both under a noise
+    of its own.
+    """
     fit = rescored(noise_problem(fit), fit)
     return fit.total + predicted_gain(fit), fit
 
@@ -156,14 +201,19 @@ def refit_rescored(fit: Fit, noise_problem: NoiseProblem, iterations: int) -> Fi
 def nonsmooth_parameters(fit: Fit, effects: Collection[str]) -> list[Free]:
     """Return the free parameters of effects that switch, contacts among them."""
     own = [(f, f.name.split(".")[0]) for f in fit.free]
-    return [f for f, name in own if name in effects and (find_effect(name).nonsmooth or find_effect(name).free_play)]
+    return [
+        f
+        for f, name in own
+        if name in effects and (find_effect(name).nonsmooth or find_effect(name).free_play)
+    ]
 
 
 def refit_load(fit: Fit, noise_problem: NoiseProblem) -> Fit:
-    """Refit with the load's initial place in its play found anew in each segment, as long as that helps.
+    """Refit with the load's initial place in its play found anew in each segment, as long as that
+    helps.
 
-    The likeliest place jumps with the other parameters, so that derivatives do not lead there. Without such a load it is
-    the same fit.
+    The likeliest place jumps with the other parameters, so that derivatives do not lead there.
+    Without such a load it is the same fit.
     """
     for _ in range(LOAD_PASSES if fit.simulator.play else 0):
         problem = noise_problem(fit)
@@ -177,39 +227,61 @@ def refit_load(fit: Fit, noise_problem: NoiseProblem) -> Fit:
 
 
 def refit_nonsmooth(fit: Fit, noise_problem: NoiseProblem, effects: Sequence[str]) -> Fit:
-    """Refit from the best of random values around a fit, as long as that helps, for those effects that switch.
+    """Refit from the best of random values around a fit, as long as that helps, for those effects
+    that switch.
 
-    The moments at which an effect switches change with each parameter: the likelihood has many small maxima, at which steps
-    along derivatives end.
+    The moments at which an effect switches change with each parameter: the likelihood has many
+    small maxima, at which steps along derivatives end.
     """
     fit = refit_load(fit, noise_problem)
-    own = [f for f in nonsmooth_parameters(fit, effects) if not find_effect(f.name.split(".")[0]).free_play]
+    own = [
+        f
+        for f in nonsmooth_parameters(fit, effects)
+        if not find_effect(f.name.split(".")[0]).free_play
+    ]
     if not own:
         return fit
-    rng, wide = np.random.default_rng(1), np.array([TIME_SPREAD if is_time(f.name) else 1.0 for f in own])
+    rng, wide = (
+        np.random.default_rng(1),
+        np.array([TIME_SPREAD if is_time(f.name) else 1.0 for f in own]),
+    )
     for spread in NONSMOOTH_SPREADS:
         problem = noise_problem(fit)
         fit = best = rescored(problem, fit)
         for step in spread * wide * rng.standard_normal((NONSMOOTH_TRIALS * len(own), len(own))):
-            trial = evaluate(problem, fit.at(perturbed_values(best.values, own, step), best.initial))
+            trial = evaluate(
+                problem, fit.at(perturbed_values(best.values, own, step), best.initial)
+            )
             best = max((best, trial), key=lambda each: each.total)
-        new = max((best, rescored(problem, refit_rescored(best, noise_problem, FIT_ITERATIONS))), key=lambda each: each.total)
+        new = max(
+            (best, rescored(problem, refit_rescored(best, noise_problem, FIT_ITERATIONS))),
+            key=lambda each: each.total,
+        )
         if new.total >= fit.total + NONSMOOTH_GAIN:
             fit = new
     return rescored(noise_problem(fit), fit)
 
 
-def perturbed_values(values: Mapping[str, float], own: Sequence[Free], step: Array) -> dict[str, float]:
+def perturbed_values(
+    values: Mapping[str, float], own: Sequence[Free], step: Array
+) -> dict[str, float]:
     """Return values with some parameters `perturbed` by a step (own,), within their intervals."""
-    near = {f.name: f.clip(perturbed(f.name, values[f.name], d)) for f, d in zip(own, step, strict=True)}
+    near = {
+        f.name: f.clip(perturbed(f.name, values[f.name], d)) for f, d in zip(own, step, strict=True)
+    }
     return {**values, **near}
 
 
 def perturbed(name: str, value: float, step: float) -> float:
-    """Return the value of an effect's parameter after a step: a time moves by so many seconds, anything else by a factor."""
+    """Return the value of an effect's parameter after a step: a time moves by so many seconds,
+    anything else by a factor.
+    """
     return value + step if is_time(name) else value * float(np.exp(step))
 
 
 def is_time(name: str) -> bool:
     """True if a parameter of an effect is a moment in time."""
-    return any(p.name == name and p.unit == "s" and p.minimum < 0 for p in find_effect(name.split(".")[0]).parameters)
+    return any(
+        p.name == name and p.unit == "s" and p.minimum < 0
+        for p in find_effect(name.split(".")[0]).parameters
+    )

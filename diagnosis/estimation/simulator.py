@@ -1,4 +1,6 @@
-"""The servo that is fitted, its free parameters, and its simulation over segments with exact derivatives."""
+"""The servo that is fitted, its free parameters, and its simulation over segments with exact
+derivatives.
+"""
 
 from __future__ import annotations
 
@@ -23,44 +25,69 @@ from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 
 Mask = NDArray[np.bool_]
 
-LEADERS = {"theta_load": "theta", "v_load": "v"}  # state of the load: state of the motor with which a segment sets it
+# state of the load: state of the motor with which a segment sets it
+LEADERS = {"theta_load": "theta", "v_load": "v"}
 START_STATES = ("theta_start", "v_start")
-LOAD_STATES = tuple(p.name for p in LOAD_STARTS)  # initial states of a load with free play: how far and how much slower it lags
+# initial states of a load with free play: how far and how much slower it lags
+LOAD_STATES = tuple(p.name for p in LOAD_STARTS)
 LOAD_SPEED_SHARE = 0.3  # of the rms speed: standard deviation of that lag of a load's speed
 LEAST_PLAY = 1e-9  # rad: least half play by which a load's place is divided
-OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)  # part of each simulation of rigid friction
-BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)  # effects that take the place of these bristles
+# part of each simulation of rigid friction
+OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)
+# effects that take the place of these bristles
+BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)
 START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
 
 
 def play_parameter(effects: Sequence[str]) -> str:
     """Return the parameter that is the free play of a coupling's load, or an empty text."""
-    return next((f"{name}.{find_effect(name).free_play}" for name in effects if find_effect(name).free_play), "")
+    return next(
+        (
+            f"{name}.{find_effect(name).free_play}"
+            for name in effects
+            if find_effect(name).free_play
+        ),
+        "",
+    )
 
 
 @lru_cache(maxsize=256)  # four rounds of all effects
 def _program(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Program:
     fitted = [name for name in effects if name not in UNNAMED_TORQUES]
-    wanted = [*base, *(p.name for name in fitted for p in find_effect(name).parameters), *START_STATES]
+    wanted = [
+        *base,
+        *(p.name for name in fitted for p in find_effect(name).parameters),
+        *START_STATES,
+    ]
     wanted += LOAD_STATES if play_parameter(effects) else ()
     observed = "v" if velocity else "theta"
-    return servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)
+    return servo_program(
+        law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed
+    )
 
 
 @lru_cache(maxsize=512)
-def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...], width: int) -> Lanes:
+def _compiled(
+    law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...], width: int
+) -> Lanes:
     return Lanes(_program(law, effects, velocity, base), width)
 
 
 class Simulator:
     """A servo with effects, simulated over segments with exact derivatives.
 
-    `law`: friction law. `effects`: names of effects. `segments`: records to simulate. `base`: parameters of the servo and its law
-    with derivatives; those of the effects always have them. `fixed`: values of other parameters, such as the internal step.
+    `law`: friction law. `effects`: names of effects. `segments`: records to simulate. `base`:
+    parameters of the servo and its law with derivatives; those of the effects always have them.
+    `fixed`: values of other parameters, such as the internal step.
     """
 
     def __init__(
-        self, law: str, effects: Sequence[str], segments: Segments, base: Sequence[str], fixed: Mapping[str, float]
+        self,
+        law: str,
+        effects: Sequence[str],
+        segments: Segments,
+        base: Sequence[str],
+        fixed: Mapping[str, float],
     ) -> None:
         self.segments, self.effects = segments, tuple(effects)
         self._made_from = law, tuple(effects), tuple(base), dict(fixed)
@@ -68,7 +95,8 @@ class Simulator:
         self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
         self._chains = chains_of(segments)
         made = law, tuple(sorted(effects)), segments.velocity, tuple(base)
-        self._lanes = _compiled(*made, len(self._chains[0].times)).twin()  # its own: diagnoses may run in parallel
+        # its own: diagnoses may run in parallel
+        self._lanes = _compiled(*made, len(self._chains[0].times)).twin()
         program = self._lanes.program
         self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)
@@ -80,11 +108,21 @@ class Simulator:
         chosen = ["v"] if segments.velocity else ["theta", "v"]
         follow = [LEADERS.get(name, "") for name in states]
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
-        self._column = np.array([len(self.names) + (name == "v") for name in chosen], dtype=np.int32)
-        self._leader = np.array([chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32)
+        self._column = np.array(
+            [len(self.names) + (name == "v") for name in chosen], dtype=np.int32
+        )
+        self._leader = np.array(
+            [chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32
+        )
         self._chosen = slice(1 if segments.velocity else 0, self.width)
-        pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.play else []
-        self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
+        pairs = (
+            [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()]
+            if self.play
+            else []
+        )
+        self._load, self._motor = (
+            np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1)
+        )
         self._lag = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
         self._u = np.concatenate([piece.u for piece in segments.pieces])
         self._observed = program.index["v" if segments.velocity else "theta"]
@@ -104,20 +142,26 @@ class Simulator:
         return other
 
     def hidden_spread(self, values: Mapping[str, float]) -> Array:
-        """Return the prior standard deviations (width - 2,) of the initial states that no sensor shows; their means are 0.
+        """Return the prior standard deviations (width - 2,) of the initial states that no sensor
+        shows; their means are 0.
 
-        A load may be anywhere within its play, and beyond it by the deflection of the contact under the rms torque.
+        A load may be anywhere within its play, and beyond it by the deflection of the contact under
+        the rms torque.
         """
         if not self.play:
             return np.empty(0)
         u, v = self._usual
-        deflection = abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
+        deflection = (
+            abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
+        )
         return np.array([1.0 + deflection / self._half(values), LOAD_SPEED_SHARE * v + 1e-9])
 
     @cached_property
     def _usual(self) -> tuple[float, float]:
         """Root mean squares of the input and of the speeds at the starts of the segments."""
-        return float(np.sqrt(np.mean(np.square(self._u)))), float(np.sqrt(np.mean(np.square(self.segments.initial[:, 1]))))
+        return float(np.sqrt(np.mean(np.square(self._u)))), float(
+            np.sqrt(np.mean(np.square(self.segments.initial[:, 1])))
+        )
 
     def _half(self, values: Mapping[str, float]) -> float:
         return max(0.5 * self._value(self.play, values), LEAST_PLAY)
@@ -125,15 +169,19 @@ class Simulator:
     def _value(self, name: str, values: Mapping[str, float]) -> float:
         return float(values.get(name, self._v[self._lanes.program.index[name]]))
 
-    def run(self, values: Mapping[str, float], initial: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask, Array]:
-        """Simulate all segments from initial states (segments, width): position, velocity and, of a load with free play, how far
-        (over half the play) and how much slower it lags.
+    def run(
+        self, values: Mapping[str, float], initial: Array, jacobian: bool = False
+    ) -> tuple[Array, Array | None, Mask, Array]:
+        """Simulate all segments from initial states (segments, width): position, velocity and, of a
+        load with free play, how far (over half the play) and how much slower it lags.
 
-        Where the latter are left out or NaN, the load continues from the end of the previous segment.
+        Where the latter are left out or NaN, the load continues from the end of the previous
+        segment.
 
-        Returns `simulated` (segments, bins): averages of the output. `derivatives` (segments, bins, len(names) + width): by the
-        parameters and by the initial states. `good` (segments,): False where the simulation failed; other values there are
-        undefined. `initial` (segments, width): the initial states that were simulated.
+        Returns `simulated` (segments, bins): averages of the output. `derivatives` (segments, bins,
+        len(names) + width): by the parameters and by the initial states. `good` (segments,): False
+        where the simulation failed; other values there are undefined. `initial` (segments, width):
+        the initial states that were simulated.
         """
         s, count = self.segments, len(initial)
         starts = np.full((count, self.width), np.nan)
@@ -147,12 +195,30 @@ class Simulator:
         for chains in self._chains:
             self._lanes.begin(self._table(chains, values, starts))
             self._lanes.library.lanes_segments(
-                ctypes.c_void_p(self._lanes.address), pointer(chains.times), pointer(chains.first), pointer(chains.begin),
-                pointer(chains.end), s.bins, s.width, ctypes.c_double(s.h), self._lanes.program.index["u"], pointer(self._u),
-                len(self._set), pointer(self._set), pointer(self._column), pointer(self._leader), pointer(chosen), len(self._load),
-                pointer(self._load), pointer(self._motor), pointer(self._lag), self._observed, pointer(simulated), pointer(sens),
+                ctypes.c_void_p(self._lanes.address),
+                pointer(chains.times),
+                pointer(chains.first),
+                pointer(chains.begin),
+                pointer(chains.end),
+                s.bins,
+                s.width,
+                ctypes.c_double(s.h),
+                self._lanes.program.index["u"],
+                pointer(self._u),
+                len(self._set),
+                pointer(self._set),
+                pointer(self._column),
+                pointer(self._leader),
+                pointer(chosen),
+                len(self._load),
+                pointer(self._load),
+                pointer(self._motor),
+                pointer(self._lag),
+                self._observed,
+                pointer(simulated),
+                pointer(sens),
                 pointer(good),
-            )  # fmt: skip
+            )
         starts[:, self._chosen] = chosen
         if self.play:
             self._scale_by_play(values, starts, sens)
@@ -172,8 +238,12 @@ class Simulator:
                 table[index[name]] = column
         return table
 
-    def _scale_by_play(self, values: Mapping[str, float], initial: Array, sens: Array | None) -> None:
-        """Scale a load's place by half the play, in place, so that it stays in contact when the play changes."""
+    def _scale_by_play(
+        self, values: Mapping[str, float], initial: Array, sens: Array | None
+    ) -> None:
+        """Scale a load's place by half the play, in place, so that it stays in contact when the
+        play changes.
+        """
         half, place = self._half(values), len(self.names) + 2
         initial[:, 2] /= half
         if sens is not None:
@@ -183,7 +253,9 @@ class Simulator:
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that is fitted: its interval, whether its steps are factors, and an optional Gaussian prior."""
+    """A parameter that is fitted: its interval, whether its steps are factors, and an optional
+    Gaussian prior.
+    """
 
     name: str
     low: float
@@ -199,7 +271,9 @@ class Free:
         return float(np.exp(self.nominal)) if self.factor else self.nominal
 
     def scaled(self, value: float) -> float:
-        """Return a value on the scale of the parameter's steps: its logarithm if it moves by factors."""
+        """Return a value on the scale of the parameter's steps: its logarithm if it moves by
+        factors.
+        """
         return float(np.log(value)) if self.factor else value
 
     def clip(self, value: float) -> float:
@@ -230,10 +304,11 @@ class Free:
 class Servo:
     """The model to which candidates are added.
 
-    `law`, `effects`: friction law and effects. `rigid`: True if dry friction has bristles that deflect by less than the sensor's
-    step. Models of rigid friction do not agree more closely than that; without bristles each effect would be fitted to the
-    difference. `limits`: intervals of effects' parameters on this axis, where they are narrower than in general. `credible`:
-    intervals outside which an effect needs stronger evidence.
+    `law`, `effects`: friction law and effects. `rigid`: True if dry friction has bristles that
+    deflect by less than the sensor's step. Models of rigid friction do not agree more closely than
+    that; without bristles each effect would be fitted to the difference. `limits`: intervals of
+    effects' parameters on this axis, where they are narrower than in general. `credible`: intervals
+    outside which an effect needs stronger evidence.
     """
 
     law: str
@@ -249,21 +324,39 @@ class Servo:
         """Return a simulator of the servo with more effects added."""
         effects = (*self.effects, *more)
         bristles = self.rigid and not set(effects) & set(BRISTLE_EFFECTS)
-        return Simulator(self.law, (*effects, OWN_BRISTLES) if bristles else effects, segments, self.base, self.fixed)
+        return Simulator(
+            self.law,
+            (*effects, OWN_BRISTLES) if bristles else effects,
+            segments,
+            self.base,
+            self.fixed,
+        )
 
     def free_beside(self, name: str) -> tuple[Free, ...]:
         """Return the free parameters that stay when an effect is added."""
-        return tuple(f for f in self.free if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}."))
+        return tuple(
+            f
+            for f in self.free
+            if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}.")
+        )
 
     def adds_no_bristles(self, name: str, values: Mapping[str, float]) -> bool:
-        """True if the bristles of an effect are as stiff as the servo's own, so that it adds nothing."""
+        """True if the bristles of an effect are as stiff as the servo's own, so that it adds
+        nothing.
+        """
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
-        return values[f"{name}.stiffness"] >= next(f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness")
+        return values[f"{name}.stiffness"] >= next(
+            f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness"
+        )
 
 
-def free_parameters(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> tuple[Free, ...]:
-    """Return the free parameters of an effect: those with a start value, in their intervals and `limits`."""
+def free_parameters(
+    name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
+) -> tuple[Free, ...]:
+    """Return the free parameters of an effect: those with a start value, in their intervals and
+    `limits`.
+    """
     found, effect = [], find_effect(name)
     for p in effect.parameters:
         short = p.name.removeprefix(f"{name}.")
@@ -272,7 +365,13 @@ def free_parameters(name: str, start: Mapping[str, float], limits: Mapping[str, 
         low, high = effect.search_interval.get(short, (p.minimum, p.maximum))
         factor = p.minimum > 0
         if factor:
-            low, high = max(low, start[short] / START_FACTOR), min(high, start[short] * START_FACTOR)
-        low, high = max(low, limits.get(p.name, (low, high))[0]), min(high, limits.get(p.name, (low, high))[1])
+            low, high = (
+                max(low, start[short] / START_FACTOR),
+                min(high, start[short] * START_FACTOR),
+            )
+        low, high = (
+            max(low, limits.get(p.name, (low, high))[0]),
+            min(high, limits.get(p.name, (low, high))[1]),
+        )
         found.append(Free(p.name, low, high, factor))
     return tuple(found)

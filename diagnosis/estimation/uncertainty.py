@@ -10,25 +10,35 @@ import numpy as np
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
-from bristle.diagnosis.estimation.optimiser import NONSMOOTH_SPREADS, nonsmooth_parameters, perturbed, perturbed_values
+from bristle.diagnosis.estimation.optimiser import (
+    NONSMOOTH_SPREADS,
+    nonsmooth_parameters,
+    perturbed,
+    perturbed_values,
+)
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covariance gives
-EDGE_INTERVAL_FACTOR = 5.0  # the same for effects that act beyond a place or a level only, and for couplings
-PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through a nonsmooth likelihood
+# the same for effects that act beyond a place or a level only, and for couplings
+EDGE_INTERVAL_FACTOR = 5.0
+# evaluations for each coefficient of the parabola through a nonsmooth likelihood
+PARABOLA_TRIALS = 6
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
 RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
-STRENGTH_HALF_WIDTH = 0.5  # from the strength of an effect to an end of its interval, over the strength, which must be less
+# from the strength of an effect to an end of its interval, over the strength, which must be less
+STRENGTH_HALF_WIDTH = 0.5
 ANY_STRENGTH = 1.0  # the same of one that must not be nothing: 0 is outside its interval
 WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a limit."""
+    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a
+    limit.
+    """
 
     value: float
     unit: str
@@ -36,7 +46,9 @@ class Estimate:
     at_bound: bool = False
 
     def known_within(self, share: float) -> bool:
-        """True if its interval ends less than this share of its value away, and it is at no end of what it may be."""
+        """True if its interval ends less than this share of its value away, and it is at no end of
+        what it may be.
+        """
         if self.ci95 is None or self.at_bound:
             return False
         return max(self.ci95[1] - self.value, self.value - self.ci95[0]) < share * abs(self.value)
@@ -54,28 +66,40 @@ def covariance(fit: Fit) -> Array:
 
 
 def block_covariance(fit: Fit) -> Array:
-    """Return the covariance of the parameters of a fit to long stretches (free, free), on the scale each moves on.
+    """Return the covariance of the parameters of a fit to long stretches (free, free), on the scale
+    each moves on.
 
-    Output errors of a long simulation are strongly correlated in time: the spread of the scores of blocks of it stands for that.
-    Source: white1982 (sandwich), kunsch1989 (blocks).
+    Output errors of a long simulation are strongly correlated in time: the spread of the scores of
+    blocks of it stands for that. Source: white1982 (sandwich), kunsch1989 (blocks).
     """
     own = fit.elimination.project(fit.by_parameter)
     inverse = np.linalg.pinv(np.einsum("sbp,sbq->pq", own, own), rcond=1e-14, hermitian=True)
     blocks = [np.array_split(each, RECORD_BLOCKS, axis=1) for each in (own, fit.white)]
-    scores = np.concatenate([np.einsum("sbp,sb->sp", columns, white) for columns, white in zip(*blocks, strict=True)])
+    scores = np.concatenate(
+        [np.einsum("sbp,sb->sp", columns, white) for columns, white in zip(*blocks, strict=True)]
+    )
     n = len(scores)
     return np.asarray(inverse @ (scores.T @ scores) @ inverse * n / max(n - len(fit.free), 1))
 
 
-def refitted_estimates(model: Model, fit: Fit, before: Mapping[str, Estimate]) -> dict[str, Estimate]:
+def refitted_estimates(
+    model: Model, fit: Fit, before: Mapping[str, Estimate]
+) -> dict[str, Estimate]:
     """Return estimates with those parameters replaced that were fitted to long stretches.
 
-    Their intervals hold at both ends: they reach over what the segments gave (`before`) and over what the stretches give.
+    Their intervals hold at both ends: they reach over what the segments gave (`before`) and over
+    what the stretches give.
     """
     found = dict(before)
-    for f, deviation in zip(fit.free, np.sqrt(np.maximum(np.diag(block_covariance(fit)), 0.0)), strict=True):
+    for f, deviation in zip(
+        fit.free, np.sqrt(np.maximum(np.diag(block_covariance(fit)), 0.0)), strict=True
+    ):
         value, wide, first = fit.values[f.name], 1.96 * INTERVAL_FACTOR * deviation, before[f.name]
-        ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
+        ends = (
+            [value * math.exp(-wide), value * math.exp(min(wide, 50.0))]
+            if f.factor
+            else [value - wide, value + wide]
+        )
         ends += [first.value, *(first.ci95 or ())]
         low, high = model.allowed(f.name)
         ci95 = float(max(min(ends), low)), float(min(max(ends), high))
@@ -84,20 +108,34 @@ def refitted_estimates(model: Model, fit: Fit, before: Mapping[str, Estimate]) -
 
 
 def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
-    """Return half the width of the intervals of parameters of nonsmooth effects, on the scale of `perturbed`.
+    """Return half the width of the intervals of parameters of nonsmooth effects, on the scale of
+    `perturbed`.
 
-    Their likelihood has many small maxima, and its derivative at one of them does not describe the others. A parabola is
-    fitted to the likelihood of random values around the fit; the interval is where it falls by the usual amount plus twice
-    the standard deviation of the residuals of the parabola.
+    Their likelihood has many small maxima, and its derivative at one of them does not describe the
+    others. A parabola is fitted to the likelihood of random values around the fit; the interval is
+    where it falls by the usual amount plus twice the standard deviation of the residuals of the
+    parabola.
 
     Source: box1951 (response surface).
     """
     k = len(own)
     pairs = [(i, j) for i in range(k) for j in range(i, k)]
-    wide = np.array([CONTACT_SPREAD if find_effect(f.name.split(".")[0]).free_play else NONSMOOTH_SPREADS[0] for f in own])
-    steps = wide * np.random.default_rng(3).standard_normal((PARABOLA_TRIALS * (1 + k + len(pairs)), k))
-    totals = [evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total for step in steps]
-    columns = np.column_stack([np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)])
+    wide = np.array(
+        [
+            CONTACT_SPREAD if find_effect(f.name.split(".")[0]).free_play else NONSMOOTH_SPREADS[0]
+            for f in own
+        ]
+    )
+    steps = wide * np.random.default_rng(3).standard_normal(
+        (PARABOLA_TRIALS * (1 + k + len(pairs)), k)
+    )
+    totals = [
+        evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total
+        for step in steps
+    ]
+    columns = np.column_stack(
+        [np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)]
+    )
     found = np.linalg.lstsq(columns, np.array(totals), rcond=None)[0]
     uneven = math.sqrt(float(np.square(totals - columns @ found).sum()) / (len(steps) - len(found)))
     curvature = np.zeros((k, k))
@@ -107,7 +145,10 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     fall = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2 + 2 * uneven
     values, vectors = np.linalg.eigh(curvature)
     inverse = (vectors / np.maximum(values, 2 * fall / WIDEST_HALF_INTERVAL**2)) @ vectors.T
-    return {f.name: float(min(math.sqrt(2 * fall * inverse[i, i]), WIDEST_HALF_INTERVAL)) for i, f in enumerate(own)}
+    return {
+        f.name: float(min(math.sqrt(2 * fall * inverse[i, i]), WIDEST_HALF_INTERVAL))
+        for i, f in enumerate(own)
+    }
 
 
 def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, Estimate]:
@@ -118,23 +159,32 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
             continue
         low, high = model.allowed(f.name)
         ci95 = float(max(least, low)), float(min(most, high))
-        found[f.name] = Estimate(float(fit.values[f.name]), model.unit(f.name), ci95, f.at_bound(fit.values[f.name]))
+        found[f.name] = Estimate(
+            float(fit.values[f.name]), model.unit(f.name), ci95, f.at_bound(fit.values[f.name])
+        )
     return found
 
 
 def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, float]]:
     """Return the 95 % intervals of the free parameters, whatever each may be.
 
-    They are wider than the covariance gives by factors found on development records. With a problem, those of nonsmooth effects are
-    taken from `parabola_half_widths` if these are wider.
+    They are wider than the covariance gives by factors found on development records. With a
+    problem, those of nonsmooth effects are taken from `parabola_half_widths` if these are wider.
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     own = nonsmooth_parameters(fit, all_effects()) if problem is not None else []
     wide_at = parabola_half_widths(problem, fit, own) if problem is not None and own else {}
     found = []
     for f, each in zip(fit.free, deviation, strict=True):
-        wide, value = 1.96 * (EDGE_INTERVAL_FACTOR if _has_edges(f.name) else INTERVAL_FACTOR) * each, fit.values[f.name]
-        ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
+        wide, value = (
+            1.96 * (EDGE_INTERVAL_FACTOR if _has_edges(f.name) else INTERVAL_FACTOR) * each,
+            fit.values[f.name],
+        )
+        ends = (
+            [value * math.exp(-wide), value * math.exp(min(wide, 50.0))]
+            if f.factor
+            else [value - wide, value + wide]
+        )
         if f.name in wide_at:
             ends += [perturbed(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
         found.append((min(ends), max(ends)))
@@ -142,17 +192,25 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
 
 
 def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bool:
-    """Return whether the strength of an effect, or its free play, is known to within this share of its value."""
+    """Return whether the strength of an effect, or its free play, is known to within this share of
+    its value.
+    """
     strength = find_effect(name).decisive.name
     places = [k for k, f in enumerate(fit.free) if f.name == strength]
     if not places:
         return True
     f, (low, high) = fit.free[places[0]], intervals(fit, problem)[places[0]]
     ends = float(max(low, f.low)), float(min(high, f.high))
-    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(share)
+    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(
+        share
+    )
 
 
 def _has_edges(parameter: str) -> bool:
-    """True for parameters of effects that act beyond a place or a level, whose likelihood is no parabola, and of couplings."""
+    """True for parameters of effects that act beyond a place or a level, whose likelihood is no
+    parabola, and of couplings.
+    """
     name = parameter.split(".")[0]
-    return name in all_effects() and (find_effect(name).sparse or find_effect(name).coupling is not None)
+    return name in all_effects() and (
+        find_effect(name).sparse or find_effect(name).coupling is not None
+    )

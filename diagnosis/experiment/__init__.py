@@ -1,3 +1,5 @@
-"""What to measure next: an input that tells apart what the records do not, within their own limits."""
+"""What to measure next: an input that tells apart what the records do not, within their own
+limits.
+"""
 
 __all__: list[str] = []

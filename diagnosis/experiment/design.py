@@ -1,4 +1,6 @@
-"""Choose the input of a further record that tells apart the effects that these records do not distinguish."""
+"""Choose the input of a further record that tells apart the effects that these records do not
+distinguish.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ from bristle.records.headings import without_unit
 
 EXPERIMENT_SECONDS = 20.0  # s: length of the record
 MOST_RIVALS = 4  # models that an input is to tell apart at most
-CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
+# of the effects that were tried, if none was above chance: those that are told from no effect
+CLOSEST = 2
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
 DISTURBANCES = 2  # disturbances under which each model is to keep it
 OWN_DRAWS = 3  # of the parameters of each model, which tell how far a model leads itself
@@ -40,13 +43,17 @@ class _Design:
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival]]:
-        """Pairs that are to be told apart, both ways: those of different classes, if there are several."""
+        """Pairs that are to be told apart, both ways: those of different classes, if there are
+        several.
+        """
         found = list(permutations(self.rivals, 2))
         apart = [(a, b) for a, b in found if _class_of(a) != _class_of(b)]
         return apart or found
 
     def outputs(self, u: Array) -> list[Array] | None:
-        """Return the outputs of the rivals, or None if an input or the motion leaves the limits with one of them."""
+        """Return the outputs of the rivals, or None if an input or the motion leaves the limits
+        with one of them.
+        """
         if not self.limits.allow_input(u):
             return None
         found = []
@@ -63,7 +70,11 @@ class _Design:
     def _kept(self, rival: Rival, u: Array) -> Array | None:
         """Return the output of a rival if its motion keeps to the limits."""
         y = rival.output(u, self.setup)
-        return y if y is not None and self.limits.allow_motion(self.setup.positions(y), MARGIN) else None
+        return (
+            y
+            if y is not None and self.limits.allow_motion(self.setup.positions(y), MARGIN)
+            else None
+        )
 
     def follow(self, at: float, u: Array) -> float:
         """Return where the last rival is after an input (n,) that begins at rest at a position."""
@@ -72,7 +83,9 @@ class _Design:
         return at if y is None else float(setup.positions(y)[-1])
 
     def tried(self, given: Input) -> _Trial | None:
-        """Return the first level of an input that keeps to the limits, with its gain; None if no level does."""
+        """Return the first level of an input that keeps to the limits, with its gain; None if no
+        level does.
+        """
         for u in given.levels:
             outputs = self.outputs(u)
             if outputs is not None:
@@ -82,10 +95,18 @@ class _Design:
         return None
 
     def own_lead(self, u: Array) -> float:
-        """Return by how much a rival leads itself with other values that the records allow: what no difference of models is."""
+        """Return by how much a rival leads itself with other values that the records allow: what no
+        difference of models is.
+        """
         rng = np.random.default_rng(0)
-        others = [(rival, rival.output(u, self.setup, rival.drawn(rng))) for rival in self.rivals for _ in range(OWN_DRAWS)]
-        return max((lead(y, u, rival, self.setup) for rival, y in others if y is not None), default=0.0)
+        others = [
+            (rival, rival.output(u, self.setup, rival.drawn(rng)))
+            for rival in self.rivals
+            for _ in range(OWN_DRAWS)
+        ]
+        return max(
+            (lead(y, u, rival, self.setup) for rival, y in others if y is not None), default=0.0
+        )
 
 
 @dataclass(frozen=True)
@@ -102,7 +123,9 @@ class _Trial:
         some, h = case.records[0], case.dataset.segments.h
         time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
         record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
-        return self.gain > TIE_NATS and not excitation(case.model, [*case.records, record])["narrow"]
+        return (
+            self.gain > TIE_NATS and not excitation(case.model, [*case.records, record])["narrow"]
+        )
 
 
 def _class_of(rival: Rival) -> str:
@@ -110,9 +133,11 @@ def _class_of(rival: Rival) -> str:
 
 
 def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInput | None:
-    """Return the input that tells apart what a conclusion leaves open by most, or None if it leaves nothing open.
+    """Return the input that tells apart what a conclusion leaves open by most, or None if it leaves
+    nothing open.
 
-    It keeps to the input, its rms and the positions of the records, also under disturbances as large as theirs.
+    It keeps to the input, its rms and the positions of the records, also under disturbances as
+    large as theirs.
     """
     rivals = tuple(rivals_of(case, found))
     if len(rivals) < 2:
@@ -120,14 +145,20 @@ def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInp
     s, m = case.dataset.segments, case.dataset.motion
     n = s.bins * s.width * max(3, round(EXPERIMENT_SECONDS / s.seconds))
     positions = (float(m.theta.min()), float(m.theta.max()))
-    usual = Limits((float(m.u.min()), float(m.u.max())), positions, max(rms(piece.u) for piece in s.pieces))
+    usual = Limits(
+        (float(m.u.min()), float(m.u.max())), positions, max(rms(piece.u) for piece in s.pieces)
+    )
     start = 0.0 if s.velocity else usual.middle
     ends = max(piece.time + s.h * len(piece.u) for piece in s.pieces)
     plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
-    choice = inputs(_axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow)
+    choice = inputs(
+        _axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow
+    )
     trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
     ordered = sorted(trials, key=lambda trial: -trial.gain)
-    best = next((trial for trial in ordered if trial.allows_a_name(case)), ordered[0] if ordered else None)
+    best = next(
+        (trial for trial in ordered if trial.allows_a_name(case)), ordered[0] if ordered else None
+    )
     return _described(plan, case, best)
 
 
@@ -138,12 +169,18 @@ def _axis(rival: Rival, u: Array) -> Axis:
 
 
 def rivals_of(case: Case, found: Conclusion) -> Iterator[Rival]:
-    """Give the models that explain the records alike: the members of a tie or class, or those next to no effect at all."""
+    """Give the models that explain the records alike: the members of a tie or class, or those next
+    to no effect at all.
+    """
     if found.proposal or found.verdict == "none":
         return
     deciding = _deciding_round(found)
-    names = {*found.undecided} or ({deciding.best.name, *deciding.ties} if deciding.best and deciding.ties else set())
-    fitted = sorted((c for c in deciding.candidates if c.fit is not None), key=lambda c: -c.penalised_likelihood)
+    names = {*found.undecided} or (
+        {deciding.best.name, *deciding.ties} if deciding.best and deciding.ties else set()
+    )
+    fitted = sorted(
+        (c for c in deciding.candidates if c.fit is not None), key=lambda c: -c.penalised_likelihood
+    )
     members = [c for c in fitted if c.name in names]
     if found.verdict == "not_identifiable":
         members = members or fitted[:CLOSEST]
@@ -154,7 +191,9 @@ def rivals_of(case: Case, found: Conclusion) -> Iterator[Rival]:
 
 
 def _deciding_round(found: Conclusion) -> SearchRound:
-    """Return the round whose candidates are compared: the last one, or the last that gave a name, if that is in a tie."""
+    """Return the round whose candidates are compared: the last one, or the last that gave a name,
+    if that is in a tie.
+    """
     if found.undecided or found.verdict != "named":
         return found.rounds[-1]
     return next((r for r in reversed(found.rounds) if r.named and r.ties), found.rounds[-1])
@@ -171,11 +210,23 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
     theta = np.concatenate([plan.setup.positions(y) for y in best.outputs]) if best else np.zeros(1)
     ends = (float(u.min()), float(u.max()), rms(u)) if told else (math.nan, math.nan, math.nan)
     return DesignedInput(
-        tuple(rival.name for rival in plan.rivals), gain, TIE_NATS, best.what if best else "", column.unit, *ends,
-        plan.setup.start, (float(theta.min()), float(theta.max())), _headings(case.model), time, u,
-    )  # fmt: skip
+        tuple(rival.name for rival in plan.rivals),
+        gain,
+        TIE_NATS,
+        best.what if best else "",
+        column.unit,
+        *ends,
+        plan.setup.start,
+        (float(theta.min()), float(theta.max())),
+        _headings(case.model),
+        time,
+        u,
+    )
 
 
 def _headings(model: Model) -> tuple[str, str]:
     """Return the columns of the file: as the records name them, with units."""
-    return f"{without_unit(model.time.column)} [s]", f"{without_unit(model.input.column)} [{model.input.unit}]"
+    return (
+        f"{without_unit(model.time.column)} [s]",
+        f"{without_unit(model.input.column)} [{model.input.unit}]",
+    )

@@ -1,6 +1,8 @@
-"""Inputs to choose from: motions planned within the range of the records and the torque that they take, ramps, and own inputs.
+"""Inputs to choose from: motions planned within the range of the records and the torque that they
+take, ramps, and own inputs.
 
-Each effect shows in another kind of motion: rests and reversals, slow and fast motion, small and large steps, a wide band.
+Each effect shows in another kind of motion: rests and reversals, slow and fast motion, small and
+large steps, a wide band.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from bristle.common.metrics import rms
 from bristle.common.table import Array
 
 DRAWS = 24  # inputs of random steps to choose from
-INPUT_LEVELS = (1.0, 0.8, 0.6, 0.4)  # of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
+# of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
+INPUT_LEVELS = (1.0, 0.8, 0.6, 0.4)
 USED_RANGE = (0.3, 0.85)  # of the range that was travelled: what steps are planned in
 USED_TORQUE = (0.3, 0.95)  # of what the input gives beyond friction: what steps are planned with
 ACCELERATING = 0.75  # of that: what accelerates; the rest is for viscous friction
@@ -28,7 +31,8 @@ RAMP_SECONDS = 2.0  # s: of one ramp through zero, there and back
 RAMP_PEAKS = (0.5, 1.3)  # of the dry friction: peaks of the first and of the last ramp
 QUICKER = 1.5  # by how much a recorded input is quickened
 VARIED_DRAWS = 2  # inputs to choose from for each recorded one whose pace and size are varied
-VARIED_PACE, VARIED_SIZE = (0.8, 3.0), (0.3, 1.0)  # over the recorded ones: no slower than that keeps a motion within its range
+# over the recorded ones: no slower than that keeps a motion within its range
+VARIED_PACE, VARIED_SIZE = (0.8, 3.0), (0.3, 1.0)
 VARIED_SECONDS = 2.0  # s: from one drawn pace and size to the next
 Follow = Callable[[float, Array], float]  # position at rest and an input (n,) -> position after it
 
@@ -51,7 +55,9 @@ class Limits:
         return bool(self.u[0] <= u.min() and u.max() <= self.u[1] and rms(u) <= self.rms)
 
     def allow_motion(self, theta: Array, margin: float) -> bool:
-        """True if positions (n,) stay within those of the records less a margin, a share of their range on each side."""
+        """True if positions (n,) stay within those of the records less a margin, a share of their
+        range on each side.
+        """
         room = margin * (self.theta[1] - self.theta[0])
         return bool(self.theta[0] + room <= theta.min() and theta.max() <= self.theta[1] - room)
 
@@ -68,13 +74,19 @@ class Axis:
     def input_for(self, theta: Array, h: float) -> Array:
         """Return the input (n,) for a motion (n,). Source: janot2019 (inverse dynamic model)."""
         v = np.gradient(theta, h)
-        torque = self.inertia * np.gradient(v, h) + self.damping * v + self.friction * np.sign(np.round(v, 9))
+        torque = (
+            self.inertia * np.gradient(v, h)
+            + self.damping * v
+            + self.friction * np.sign(np.round(v, 9))
+        )
         return np.asarray(torque / self.gain)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What steps are drawn within: samples of length h [s], `reach` to either side of `middle`, speed, acceleration, mean rest."""
+    """What steps are drawn within: samples of length h [s], `reach` to either side of `middle`,
+    speed, acceleration, mean rest.
+    """
 
     h: float
     middle: float
@@ -89,25 +101,33 @@ def move(distance: float, speed: float, acceleration: float, h: float) -> Array:
 
     Source: flash1985 (minimum-jerk profile: top speed 15/8 D/T, top acceleration 5.7735 D/T^2).
     """
-    seconds = max(1.875 * abs(distance) / speed, math.sqrt(5.7735 * abs(distance) / acceleration), 8 * h)
+    seconds = max(
+        1.875 * abs(distance) / speed, math.sqrt(5.7735 * abs(distance) / acceleration), 8 * h
+    )
     s = np.linspace(0.0, 1.0, math.ceil(seconds / h) + 1)
     return np.asarray(distance * (10 * s**3 - 15 * s**4 + 6 * s**5))
 
 
 def sweep(plan: Plan) -> Array:
-    """Return a sine whose frequency rises, its acceleration about even where the reach allows it."""
+    """Return a sine whose frequency rises, its acceleration about even where the reach allows
+    it.
+    """
     t = plan.h * np.arange(round(SWEEP_SECONDS / plan.h))
     rate = math.log(max(2.0, min(BAND[1], 0.1 / plan.h) / BAND[0])) / t[-1]
     omega = 2 * math.pi * BAND[0] * np.exp(rate * t)
-    size = np.minimum(0.3 * plan.reach, np.minimum(plan.speed / omega, plan.acceleration / omega**2))
+    size = np.minimum(
+        0.3 * plan.reach, np.minimum(plan.speed / omega, plan.acceleration / omega**2)
+    )
     fade = np.minimum(1.0, 5.0 * np.minimum(t, t[-1] - t) / t[-1])
     return np.asarray(size * fade**2 * np.sin((omega - omega[0]) / rate))
 
 
 def steps(rng: np.random.Generator, axis: Axis, plan: Plan, n: int, follow: Follow) -> Array:
-    """Return an input (n,) for steps of all sizes and speeds with rests, ramps and sweeps between them.
+    """Return an input (n,) for steps of all sizes and speeds with rests, ramps and sweeps between
+    them.
 
-    Each step begins where a model stands at rest after the one before (`follow`): open loop, errors of position would add up.
+    Each step begins where a model stands at rest after the one before (`follow`): open loop, errors
+    of position would add up.
     """
     parts, at, total = [np.zeros(round(0.2 / plan.h))], plan.middle, 0
     while total < n:
@@ -122,7 +142,9 @@ def steps(rng: np.random.Generator, axis: Axis, plan: Plan, n: int, follow: Foll
             part = side * ramps(axis, round(RAMP_SECONDS / plan.h), plan.h)
         else:
             quick = rng.uniform(0.15, 1.0)
-            part = axis.input_for(move(side * size, quick * plan.speed, quick * plan.acceleration, plan.h), plan.h)
+            part = axis.input_for(
+                move(side * size, quick * plan.speed, quick * plan.acceleration, plan.h), plan.h
+            )
         part = np.concatenate([part, np.zeros(round(plan.rest * rng.uniform(0.5, 1.5) / plan.h))])
         at = follow(at, part)
         parts.append(part)
@@ -131,7 +153,9 @@ def steps(rng: np.random.Generator, axis: Axis, plan: Plan, n: int, follow: Foll
 
 
 def ramps(axis: Axis, n: int, h: float) -> Array:
-    """Return slow ramps of the input through zero, growing until they break the axis loose in both directions."""
+    """Return slow ramps of the input through zero, growing until they break the axis loose in both
+    directions.
+    """
     phase = h * np.arange(n) / RAMP_SECONDS
     triangle = np.interp(phase % 1.0, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
     peaks = np.interp(np.floor(phase), [0.0, max(1.0, math.floor(phase[-1]))], RAMP_PEAKS)
@@ -139,16 +163,24 @@ def ramps(axis: Axis, n: int, h: float) -> Array:
 
 
 def varied(rng: np.random.Generator, u: Array, n: int, h: float) -> Array:
-    """Return a recorded input (n,) played at a pace and size that vary: what repeated one motion then shows many."""
+    """Return a recorded input (n,) played at a pace and size that vary: what repeated one motion
+    then shows many.
+    """
     t = h * np.arange(n)
     knots = np.arange(0.0, t[-1] + 2 * VARIED_SECONDS, VARIED_SECONDS)
-    pace, size = (np.interp(t, knots, rng.uniform(*ends, len(knots))) for ends in (VARIED_PACE, VARIED_SIZE))
-    return np.asarray(size * np.interp(np.cumsum(pace) - pace[0], np.arange(len(u)), u, period=len(u)))
+    pace, size = (
+        np.interp(t, knots, rng.uniform(*ends, len(knots))) for ends in (VARIED_PACE, VARIED_SIZE)
+    )
+    return np.asarray(
+        size * np.interp(np.cumsum(pace) - pace[0], np.arange(len(u)), u, period=len(u))
+    )
 
 
 @dataclass(frozen=True)
 class Input:
-    """An input to choose from: what it is in words, and its values (n,) at one level or several, the strongest first."""
+    """An input to choose from: what it is in words, and its values (n,) at one level or several,
+    the strongest first.
+    """
 
     what: str
     levels: tuple[Array, ...]
@@ -159,15 +191,28 @@ class Input:
         return cls(what, tuple(level * u for level in INPUT_LEVELS))
 
 
-def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple[int, float], follow: Follow) -> list[Input]:
-    """Return inputs of so many samples of length h [s] to choose from, the same each time; `follow` as of `steps`."""
+def inputs(
+    axis: Axis,
+    limits: Limits,
+    recorded: Sequence[Array],
+    samples: tuple[int, float],
+    follow: Follow,
+) -> list[Input]:
+    """Return inputs of so many samples of length h [s] to choose from, the same each time; `follow`
+    as of `steps`.
+    """
     n, h = samples
     spare = min(limits.u[1], -limits.u[0]) * abs(axis.gain) - axis.friction
     found = []
     for seed in range(DRAWS if spare > 0 else 0):
         rng = np.random.default_rng(seed)
         plan = planned(rng, axis, limits, spare, h)
-        found.append(Input("steps of many sizes with rests, ramps and sweeps", (steps(rng, axis, plan, n, follow),)))
+        found.append(
+            Input(
+                "steps of many sizes with rests, ramps and sweeps",
+                (steps(rng, axis, plan, n, follow),),
+            )
+        )
     if axis.friction > 0:
         found.append(Input.at_levels("slow ramps of the input through zero", ramps(axis, n, h)))
     for u in recorded:
@@ -181,8 +226,17 @@ def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple
 
 
 def planned(rng: np.random.Generator, axis: Axis, limits: Limits, spare: float, h: float) -> Plan:
-    """Return what steps are drawn within, `spare` being the torque that the input has beyond dry friction [N.m]."""
+    """Return what steps are drawn within, `spare` being the torque that the input has beyond dry
+    friction [N.m].
+    """
     torque = rng.uniform(*USED_TORQUE) * spare
     reach = rng.uniform(*USED_RANGE) * 0.5 * (limits.theta[1] - limits.theta[0])
     speed = (1 - ACCELERATING) * torque / axis.damping if axis.damping > 0 else math.inf
-    return Plan(h, limits.middle, reach, min(speed, reach / (8 * h)), ACCELERATING * torque / axis.inertia, rng.uniform(*RESTS))
+    return Plan(
+        h,
+        limits.middle,
+        reach,
+        min(speed, reach / (8 * h)),
+        ACCELERATING * torque / axis.inertia,
+        rng.uniform(*RESTS),
+    )

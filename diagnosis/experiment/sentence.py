@@ -8,23 +8,26 @@ from bristle.diagnosis.report.text import NATS, effect_name, listed
 
 
 def designed_line(found: DesignedInput | None, model: Model) -> str:
-    """Return what to play back and what it is expected to tell, or that nothing within the limits would; empty for None."""
+    """Return what to play back and what it is expected to tell, or that nothing within the limits
+    would; empty for None.
+    """
     if found is None:
         return ""
     effects = [effect_name(name, model.wording) for name in found.rivals if name]
     names = listed([*effects, *(["no further effect"] if "" in found.rivals else [])], "and")
     if not found.written:
         return (
-            f"No input was found that keeps to the range of input and position of these records and tells apart {names}: "
-            f"the best one is expected to bring {found.gain:.2g} nats, of {found.level:.2g} that are needed ({NATS}). "
-            "Widen the range, or the input."
+            "No input was found that keeps to the range of input and position of these records and"
+            f" tells apart {names}: the best one is expected to bring {found.gain:.2g} nats, of"
+            f" {found.level:.2g} that are needed ({NATS}). Widen the range, or the input."
         )
     unit = "" if found.unit == "1" else f" {found.unit}"
     place = "m" if model.linear else "rad"
     begin = "" if model.output_kind == "velocity" else f", from rest at {found.start:.4g} {place}"
     return (
-        f"{EXPERIMENT_FILE} is such an input, to be played back in open loop{begin}: {found.what}, {found.time[-1]:.3g} s, from "
-        f"{found.low:.3g} to {found.high:.3g}{unit}, {found.rms:.3g}{unit} rms, within the input and position of these records. "
-        f"It is expected to tell apart {names} by {found.gain:.3g} nats or more ({NATS}). "
-        "Then diagnose the new record together with these."
+        f"{EXPERIMENT_FILE} is such an input, to be played back in open loop{begin}: {found.what},"
+        f" {found.time[-1]:.3g} s, from {found.low:.3g} to {found.high:.3g}{unit},"
+        f" {found.rms:.3g}{unit} rms, within the input and position of these records. It is"
+        f" expected to tell apart {names} by {found.gain:.3g} nats or more ({NATS}). Then diagnose"
+        " the new record together with these."
     )

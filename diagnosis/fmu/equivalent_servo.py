@@ -14,9 +14,12 @@ from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of
 
-FMU_CLOSE = 0.1  # of the gap: error of a servo up to which its parameters may move within the model's own bounds
-FMU_PARAMETER_RANGE = 1.5  # factor by which the parameters of a servo with a larger error may move either way
-FMU_BOUND_FACTOR = 100.0  # times the model's own bounds: how far the servo's parameters may follow an FMU
+# of the gap: error of a servo up to which its parameters may move within the model's own bounds
+FMU_CLOSE = 0.1
+# factor by which the parameters of a servo with a larger error may move either way
+FMU_PARAMETER_RANGE = 1.5
+# times the model's own bounds: how far the servo's parameters may follow an FMU
+FMU_BOUND_FACTOR = 100.0
 FMU_FIT_ROUNDS = 4  # fits of the servo to the FMU, each with the noise level of the one before
 
 
@@ -34,9 +37,13 @@ def fit_equivalent_servo(model: Model, dataset: Dataset, copy: Dataset) -> Equiv
     """Fit a servo to the FMU (`copy`), and take what is left out of what was measured."""
     servo, values = base_servo_of(model, copy)
     fit = _fitted(copy, servo, values)
-    barred = any(f.at_binding_bound(fit.values[f.name]) for f in servo.free if f.name in model.bounds)
+    barred = any(
+        f.at_binding_bound(fit.values[f.name]) for f in servo.free if f.name in model.bounds
+    )
     if barred:  # an FMU may be anything, and is followed there
-        free = tuple(f.widened(FMU_BOUND_FACTOR) if f.name in model.bounds else f for f in servo.free)
+        free = tuple(
+            f.widened(FMU_BOUND_FACTOR) if f.name in model.bounds else f for f in servo.free
+        )
         fit = _fitted(copy, replace(servo, free=free), fit.values)
     first, pieces = 0, []
     for piece in dataset.segments.pieces:
@@ -52,7 +59,9 @@ def fit_equivalent_servo(model: Model, dataset: Dataset, copy: Dataset) -> Equiv
 
 
 def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
-    """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is an accident."""
+    """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is
+    an accident.
+    """
     s, counted = copy.segments, copy.segments.counted
     start = Point(servo.simulator(s), servo.free, dict(values), s.initial)
     fit = evaluate(Problem.of(s, _white(copy, 1.0), counted), start)
@@ -63,7 +72,9 @@ def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
 
 
 def _white(dataset: Dataset, level: float) -> Noise:
-    """Return a white noise so wide that a segment that is off by `level` rms counts as it is, and not as an outlier."""
+    """Return a white noise so wide that a segment that is off by `level` rms counts as it is, and
+    not as an outlier.
+    """
     bins = dataset.segments.bins
     return white_noise(bins, math.sqrt(bins) * max(level, dataset.least_sd))
 
@@ -76,11 +87,18 @@ def search_bounds(model: Model, twin: EquivalentServo) -> dict[str, tuple[float,
     found = {}
     for name, (low, high) in around.items():
         value = twin.values[name]
-        ends = sorted((value / FMU_PARAMETER_RANGE, value * FMU_PARAMETER_RANGE)) if value else (low, high)
+        ends = (
+            sorted((value / FMU_PARAMETER_RANGE, value * FMU_PARAMETER_RANGE))
+            if value
+            else (low, high)
+        )
         found[name] = (max(low, ends[0]), min(high, ends[1]))
     return {name: (low, high) for name, (low, high) in found.items() if low < high}
 
 
 def widened_bounds(model: Model, values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Return the bounds of a model, wide enough for values that may lie outside them."""
-    return {name: (float(min(low, values[name])), float(max(high, values[name]))) for name, (low, high) in model.bounds.items()}
+    return {
+        name: (float(min(low, values[name])), float(max(high, values[name])))
+        for name, (low, high) in model.bounds.items()
+    }

@@ -1,4 +1,6 @@
-"""A plant FMU as the model of a diagnosis: what its modelDescription says, where no model file is given beside it."""
+"""A plant FMU as the model of a diagnosis: what its modelDescription says, where no model file is
+given beside it.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ ADVICE = "give a model file beside the FMU"
 def fmu_model(path: Path) -> Model:
     """Return the model that an FMU with the variables of ServoPlant describes, at its start values.
 
-    Records have the columns t [s], u and theta or, if the FMU has none, v, in the units that the FMU declares: V, A, N.m or N for
-    u, rad or m for theta, rad/s or m/s for v.
+    Records have the columns t [s], u and theta or, if the FMU has none, v, in the units that the
+    FMU declares: V, A, N.m or N for u, rad or m for theta, rad/s or m/s for v.
 
     Parameters
     ----------
@@ -43,32 +45,60 @@ def fmu_model(path: Path) -> Model:
             raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
     if not {"theta", "v"} & outputs:
         raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
-    law = chosen or next((name for name in law_names() if any(start.startswith(f"{name}.") for start in starts)), "viscous")
+    law = chosen or next(
+        (name for name in law_names() if any(start.startswith(f"{name}.") for start in starts)),
+        "viscous",
+    )
     found: dict[str, dict[str, float]] = {}
     for effect in effects():
-        own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}
+        own = {
+            name.removeprefix(f"{effect}."): x
+            for name, x in starts.items()
+            if name.startswith(f"{effect}.")
+        }
         found |= {effect: own} if own else {}
-    parameters = {name: x for name, x in starts.items() if name in gained or name.startswith(f"{law}.")}
+    parameters = {
+        name: x for name, x in starts.items() if name in gained or name.startswith(f"{law}.")
+    }
     shown = "theta" if "theta" in outputs else "v"
     linear = fmu.unit(shown).startswith("m")
-    output: dict[str, Any] = {"column": "theta", "kind": "position", "unit": "m" if linear else "rad"}
+    output: dict[str, Any] = {
+        "column": "theta",
+        "kind": "position",
+        "unit": "m" if linear else "rad",
+    }
     if shown == "v":
         output = {"column": "v", "kind": "velocity", "unit": "m/s" if linear else "rad/s"}
     tree = {
-        "friction": law, "parameters": parameters, "effects": found, "output": output,
-        "time": {"column": "t", "unit": "s"}, "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS[kind]},
-    }  # fmt: skip
+        "friction": law,
+        "parameters": parameters,
+        "effects": found,
+        "output": output,
+        "time": {"column": "t", "unit": "s"},
+        "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS[kind]},
+    }
     return Model.from_dict(tree, f"FMU {path}")
 
 
 def _read(path: Path) -> tuple[dict[str, float], set[str], str | None]:
-    """Return the start values of the parameters, the names of the outputs, and the law that is chosen where there are several.
+    """Return the start values of the parameters, the names of the outputs, and the law that is
+    chosen where there are several.
 
-    The law goes by the name the FMU gives it: an FMU of another release may number the laws otherwise.
+    The law goes by the name the FMU gives it: an FMU of another release may number the laws
+    otherwise.
     """
     variables = Fmu(path).description.modelVariables
-    parameters = [v for v in variables if v.causality == "parameter" and v.start is not None and v.type in INPUT_KINDS]
+    parameters = [
+        v
+        for v in variables
+        if v.causality == "parameter" and v.start is not None and v.type in INPUT_KINDS
+    ]
     selectors = [v for v in parameters if v.name == "law" and v.declaredType is not None]
-    chosen = [item.name for v in selectors for item in v.declaredType.items if int(item.value) == int(v.start)]
+    chosen = [
+        item.name
+        for v in selectors
+        for item in v.declaredType.items
+        if int(item.value) == int(v.start)
+    ]
     starts = {v.name: float(v.start) for v in parameters}
     return starts, {v.name for v in variables if v.causality == "output"}, next(iter(chosen), None)

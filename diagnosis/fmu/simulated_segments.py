@@ -1,4 +1,6 @@
-"""The FMU simulated over the records, segment by segment or, where it cannot be restarted, over each whole record."""
+"""The FMU simulated over the records, segment by segment or, where it cannot be restarted, over
+each whole record.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +14,40 @@ from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
 from bristle.diagnosis.selection.start_values import Progress
 from bristle.fmus.host import Fmu
-from bristle.fmus.playback import Replay, ReplayResult, ReplaySegment, replay_records, replay_segments, start_variable
+from bristle.fmus.playback import (
+    Replay,
+    ReplayResult,
+    ReplaySegment,
+    replay_records,
+    replay_segments,
+    start_variable,
+)
 
-FMU_LEAD = 0.04  # s: time before a segment from which the FMU is simulated, so that its hidden states settle
+# s: time before a segment from which the FMU is simulated, so that its hidden states settle
+FMU_LEAD = 0.04
 
 
-def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress, timeout: float | None = None) -> tuple[Segments, list[str]]:
-    """Return the segments with outputs and initial states of the FMU in place of the measured ones, and a line on how it ran.
+def simulate_segments(
+    fmu: Fmu, dataset: Dataset, tell: Progress, timeout: float | None = None
+) -> tuple[Segments, list[str]]:
+    """Return the segments with outputs and initial states of the FMU in place of the measured ones,
+    and a line on how it ran.
 
     Simulating them may take `timeout` seconds.
     """
     tell("simulating the FMU", 0.0)
     s = dataset.segments
-    outputs = ("v",) if s.velocity else ("theta", "v") if fmu.has("v", "output") and fmu.is_real("v") else ("theta",)
+    outputs = (
+        ("v",)
+        if s.velocity
+        else ("theta", "v")
+        if fmu.has("v", "output") and fmu.is_real("v")
+        else ("theta",)
+    )
     wanted = ("v",) if s.velocity else ("theta", "v")
-    begins = {name: variable for name in wanted if (variable := start_variable(fmu, name)) is not None}
+    begins = {
+        name: variable for name in wanted if (variable := start_variable(fmu, name)) is not None
+    }
     try:
         for name in wanted:
             if name not in begins:
@@ -35,20 +56,28 @@ def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress, timeout: float
         stretches = tuple(_stretches(dataset, lead, begins))
         known = {name: variable for name, variable in begins.items() if name in outputs}
         replay = Replay(fmu, s.h, stretches, outputs, known)
-        played = replay_segments(replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)), timeout)
+        played = replay_segments(
+            replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)), timeout
+        )
         return _gathered(s, played, lead), [
-            f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
-            f"{' and '.join(begins.values())} as measured; its other states begin at their start values"
+            f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments,"
+            f" {lead * s.h:.3g} s before it, with {' and '.join(begins.values())} as measured; its"
+            " other states begin at their start values"
         ]
     except RestartError as error:
         whole = tuple(ReplaySegment(piece.time, piece.u, {}) for piece in s.pieces)
         played = replay_records(Replay(fmu, s.h, whole, outputs, {}), timeout)
-        line = f"{fmu.path.name} cannot be restarted at each segment ({error}): whole records were simulated from its start values"
+        line = (
+            f"{fmu.path.name} cannot be restarted at each segment ({error}): whole records were"
+            " simulated from its start values"
+        )
         return _cut(s, played), [line]
 
 
 def _stretches(dataset: Dataset, lead: int, begins: Mapping[str, str]) -> Iterator[ReplaySegment]:
-    """Give the inputs of each segment with those of the lead before it, and the measured state where that begins."""
+    """Give the inputs of each segment with those of the lead before it, and the measured state
+    where that begins.
+    """
     s, m, offset = dataset.segments, dataset.motion, 0
     length = s.bins * s.width
     for piece in s.pieces:
@@ -88,8 +117,12 @@ def _averages(s: Segments, y: Array) -> Array:
 
 
 def _state(s: Segments, outputs: Array) -> tuple[Array, Array]:
-    """Return the output (n,) and the state (n, 2) that an FMU shows; where it shows no velocity, from a parabola."""
+    """Return the output (n,) and the state (n, 2) that an FMU shows; where it shows no velocity,
+    from a parabola.
+    """
     y = outputs[:, 0]
     if s.velocity:
         return y, np.column_stack([np.zeros_like(y), y])
-    return y, np.column_stack([y, outputs[:, 1] if outputs.shape[1] > 1 else smooth(y, s.h, STATE_SMOOTHING, 1)])
+    return y, np.column_stack(
+        [y, outputs[:, 1] if outputs.shape[1] > 1 else smooth(y, s.h, STATE_SMOOTHING, 1)]
+    )

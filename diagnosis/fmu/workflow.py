@@ -1,7 +1,8 @@
-"""A plant FMU of any origin as the model: a servo is fitted to it, and the search runs on that servo in its place.
+"""A plant FMU of any origin as the model: a servo is fitted to it, and the search runs on that
+servo in its place.
 
-The difference between FMU and servo, from the same states and with the same input, is subtracted from the measured
-output. An effect that is then missing in the servo is missing in the FMU.
+The difference between FMU and servo, from the same states and with the same input, is subtracted
+from the measured output. An effect that is then missing in the servo is missing in the FMU.
 """
 
 from __future__ import annotations
@@ -16,19 +17,32 @@ from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.conclusion import Additions, Case, Conclusion
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.estimation.likelihood import mean_square
-from bristle.diagnosis.fmu.equivalent_servo import EquivalentServo, fit_equivalent_servo, search_bounds, widened_bounds
+from bristle.diagnosis.fmu.equivalent_servo import (
+    EquivalentServo,
+    fit_equivalent_servo,
+    search_bounds,
+    widened_bounds,
+)
 from bristle.diagnosis.fmu.simulated_segments import simulate_segments
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
-from bristle.diagnosis.workflow import Prepared, check_arguments, implausible, not_searched, search_prepared, teller
+from bristle.diagnosis.workflow import (
+    Prepared,
+    check_arguments,
+    implausible,
+    not_searched,
+    search_prepared,
+    teller,
+)
 from bristle.fmus.alias import alias
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.records.record import Record
 
-FMU_ERROR_RATIO = 0.5  # of the error that a refit to the records leaves: largest error of a servo that replaces the FMU
+# of the error that a refit to the records leaves: largest error of a servo that replaces the FMU
+FMU_ERROR_RATIO = 0.5
 FMU_PARAMETER_ERROR = 0.02  # relative difference up to which a parameter is not reported
 
 
@@ -45,10 +59,11 @@ def diagnose_fmu(
     Parameters
     ----------
     fmu_path : Path
-        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold velocities. It runs
-        in a process of its own.
+        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold
+        velocities. It runs in a process of its own.
     model : Model
-        What the records hold, and a law and nominal parameters that come near the FMU's; `fmu_model`, or from a file.
+        What the records hold, and a law and nominal parameters that come near the FMU's;
+        `fmu_model`, or from a file.
     records : sequence of Record
         From `load_records` or `records_from_arrays`; two or more are better than one.
     progress : function, optional
@@ -61,30 +76,44 @@ def diagnose_fmu(
     Returns
     -------
     Diagnosis
-        `model` has the parameters that the FMU behaves like; `findings` say how the FMU was run, how closely the fitted
-        servo follows it, and which of its parameters look wrong. Verdict not_identifiable if the servo does not follow.
+        `model` has the parameters that the FMU behaves like; `findings` say how the FMU was run,
+        how closely the fitted servo follows it, and which of its parameters look wrong. Verdict
+        not_identifiable if the servo does not follow.
 
     Raises
     ------
     BristleError
-        If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
+        If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records
+        are too short.
     """
     check_arguments(model, records)
     tell = teller(progress)
     fmu = plant_fmu(fmu_path, model)
-    return search_prepared(lambda given: _prepared(fmu, model, given, tell, timeout), records, tell, options or SearchOptions())
+    return search_prepared(
+        lambda given: _prepared(fmu, model, given, tell, timeout),
+        records,
+        tell,
+        options or SearchOptions(),
+    )
 
 
 def _prepared(
     fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress, timeout: float | None
 ) -> Prepared | answer.Diagnosis:
-    """Return a servo fitted to the FMU and then to the records, or a diagnosis where that makes no sense."""
+    """Return a servo fitted to the FMU and then to the records, or a diagnosis where that makes no
+    sense.
+    """
     dataset, said = dataset_of(model, records), check(model, records)
     segments, lines = simulate_segments(fmu, dataset, tell, timeout)
     lines += unit_lines(fmu, model)
     if said.proposals:
         simulated = replace(dataset, segments=segments)
-        return not_searched(model, records, nominal_gap(simulated, *base_servo_of(model, simulated)), implausible(said, lines))
+        return not_searched(
+            model,
+            records,
+            nominal_gap(simulated, *base_servo_of(model, simulated)),
+            implausible(said, lines),
+        )
     tell("fitting a servo to the FMU", 0.05)
     twin = fit_equivalent_servo(model, dataset, replace(dataset, segments=segments))
     lines.append(_closeness(fmu, model, twin))
@@ -98,7 +127,11 @@ def _prepared(
 
     def additions(found: Conclusion) -> Additions:
         wrong = _wrong(fmu, found, twin)
-        agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
+        agrees = (
+            []
+            if wrong or found.verdict != "none" or found.remains.flag
+            else [_agreement(fmu, found, twin)]
+        )
         return Additions(agrees, (*lines, *wrong), model=kept)
 
     return Prepared(Case(free, records, twin.dataset, base), additions)
@@ -112,12 +145,18 @@ def plant_fmu(path: Path, model: Model) -> Fmu:
     BristleError
         If the FMU cannot be read, or lacks the variables that the records speak of.
     """
-    units = {name: model.unit_in_fmu(name, unit) for name, unit in (("u", "V"), ("theta", "rad"), ("v", "rad/s"))}
+    units = {
+        name: model.unit_in_fmu(name, unit)
+        for name, unit in (("u", "V"), ("theta", "rad"), ("v", "rad/s"))
+    }
     aliases = {}
     for key, given in model.variables.items():
         where = f"{model.path or 'model'}: variables.{key}"
         if key not in units:
-            raise BristleError(f"{where}: no variable of the records{suggest(key, list(units))}; known: {', '.join(units)}")
+            raise BristleError(
+                f"{where}: no variable of the records{suggest(key, list(units))}; known:"
+                f" {', '.join(units)}"
+            )
         try:
             aliases[key] = alias(given, [units[key]])
         except BristleError as error:
@@ -132,7 +171,8 @@ def _checked_plant(fmu: Fmu, model: Model) -> Fmu:
         if not fmu.has(name, causality) or not fmu.is_real(name):
             known = ", ".join(fmu.names(causality)) or "none"
             raise BristleError(
-                f"FMU {fmu.path}: no real {causality} '{name}' (there are: {known}); name the one that is meant "
+                f"FMU {fmu.path}: no real {causality} '{name}' (there are: {known}); name the one"
+                " that is meant "
                 f'in the model file: [variables] {name} = "..."'
             )
     if not model.linear:
@@ -140,38 +180,47 @@ def _checked_plant(fmu: Fmu, model: Model) -> Fmu:
     return fmu
 
 
-# -- texts ---------------------------------------------------------------------------------------------------------------
+# -- texts -----------------------------------------------------------------------------------------
 def unit_lines(fmu: Fmu, model: Model) -> list[str]:
-    """Return a line if the FMU declares another unit for its input than the records have, and was given their numbers.
+    """Return a line if the FMU declares another unit for its input than the records have, and was
+    given their numbers.
 
-    (Plants of ours have their input in V; one with b = 1 N.m/V stands for a plant that takes a torque.)
+    (Plants of ours have their input in V; one with b = 1 N.m/V stands for a plant that takes a
+    torque.)
     """
     unit = fmu.unit(INPUT)
-    if unit in ("1", model.input_unit) or (fmu.has("b", "parameter") and float(fmu.start("b")) == 1.0):
+    if unit in ("1", model.input_unit) or (
+        fmu.has("b", "parameter") and float(fmu.start("b")) == 1.0
+    ):
         return []
     return [
-        f"input {INPUT} of {fmu.path.name} is in {unit}, that of the records in {model.input_unit}, and was given their numbers: "
-        "if one is not worth the other, export the FMU with that input or correct [input]"
+        f"input {INPUT} of {fmu.path.name} is in {unit}, that of the records in {model.input_unit},"
+        " and was given their numbers: if one is not worth the other, export the FMU with that"
+        " input or correct [input]"
     ]
 
 
 def _closeness(fmu: Fmu, model: Model, twin: EquivalentServo) -> str:
     servo = " and ".join([f"{model.friction} friction", *model.effects])
     return (
-        f"a servo with {servo} follows {fmu.path.name} to {twin.error:.3g} {model.output_unit} rms; "
-        f"what was measured is {twin.gap:.3g} {model.output_unit} rms away from it"
+        f"a servo with {servo} follows {fmu.path.name} to {twin.error:.3g} {model.output_unit} rms;"
+        f" what was measured is {twin.gap:.3g} {model.output_unit} rms away from it"
     )
 
 
 def _agreement(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> str:
     """Return the answer where nothing is missing and no parameter is wrong."""
     unit, alone = found.gap.output_unit, math.sqrt(found.gap.noise_floor or 0.0)
-    of_it = "disturbance and sensor alone give " + ("as much" if alone >= twin.gap else f"{alone:.3g} {unit} of it")
+    of_it = "disturbance and sensor alone give " + (
+        "as much" if alone >= twin.gap else f"{alone:.3g} {unit} of it"
+    )
     return f"{fmu.path.name} agrees with the records: rms {twin.gap:.3g} {unit}; {of_it}."
 
 
 def _wrong(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> list[str]:
-    """Return a line for each parameter of the FMU that the records contradict, what was found taken into account."""
+    """Return a line for each parameter of the FMU that the records contradict, what was found taken
+    into account.
+    """
     lines = []
     for name, e in found.own_parameters.items():
         value = twin.values.get(name)
@@ -181,8 +230,14 @@ def _wrong(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> list[str]:
             continue
         unit = "" if e.unit == "1" else f" {e.unit}"
         by = _excess(value / e.value) if e.value and value / e.value > 0 else "wrong"
-        line = f"{name} of {fmu.path.name} looks {by}: it behaves like {value:.4g}{unit}, the records like {e.value:.4g}{unit}"
-        lines.append(f"{line} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})" + (", the bound of the search" if e.at_bound else ""))
+        line = (
+            f"{name} of {fmu.path.name} looks {by}: it behaves like {value:.4g}{unit}, the records"
+            f" like {e.value:.4g}{unit}"
+        )
+        lines.append(
+            f"{line} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+            + (", the bound of the search" if e.at_bound else "")
+        )
     return lines
 
 
@@ -193,10 +248,13 @@ def _excess(ratio: float) -> str:
 
 
 def _why_refused(like: Model, twin: EquivalentServo, left: float) -> str:
-    """Return why the servo cannot replace the FMU; `left` is its mean square when refitted to the records [output squared]."""
+    """Return why the servo cannot replace the FMU; `left` is its mean square when refitted to the
+    records [output squared].
+    """
     return (
-        f"The search runs on a servo that is fitted to the FMU, and with {like.friction} friction none comes near: it stays "
-        f"{twin.error:.3g} {like.output_unit} rms from the FMU, and {math.sqrt(left):.3g} {like.output_unit} from the records when "
-        "refitted to them. What the FMU lacks cannot be seen behind that. "
-        "Give a MODEL.toml with the FMU's own friction law, effects and parameters."
+        f"The search runs on a servo that is fitted to the FMU, and with {like.friction} friction"
+        f" none comes near: it stays {twin.error:.3g} {like.output_unit} rms from the FMU, and"
+        f" {math.sqrt(left):.3g} {like.output_unit} from the records when refitted to them. What"
+        " the FMU lacks cannot be seen behind that. Give a MODEL.toml with the FMU's own friction"
+        " law, effects and parameters."
     )

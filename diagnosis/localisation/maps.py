@@ -18,8 +18,12 @@ MIN_PHASE_SAMPLES = 0.1  # samples at a phase, over their mean number, below whi
 MIN_BIN_SAMPLES = 5  # samples in a bin below which it is not drawn
 
 
-def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, Any]:
-    """Return the residual torques (samples,) averaged in bins of a view: fields of `View`, empty if it is not drawn."""
+def residual_map(
+    view: str, m: Motion, before: Array, after: Array, bins: int = 40
+) -> dict[str, Any]:
+    """Return the residual torques (samples,) averaged in bins of a view: fields of `View`, empty if
+    it is not drawn.
+    """
     found = _axis(view, m)
     if found is None:
         return {}
@@ -31,23 +35,35 @@ def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 
     place = np.digitize(x, edges) - 1
     lines = [[_averages(place, r, g & m.moving, bins) for g in groups] for r in (before, after)]
     return {
-        "centres": (edges[1:] + edges[:-1]) / 2, "before": np.array(lines[0]), "after": np.array(lines[1]), "lines": names
-    }  # fmt: skip
+        "centres": (edges[1:] + edges[:-1]) / 2,
+        "before": np.array(lines[0]),
+        "after": np.array(lines[1]),
+        "lines": names,
+    }
 
 
-def wave_map(view: str, m: Motion, before: ResidualResponse, after: ResidualResponse, period: float | None) -> dict[str, Any]:
-    """Return the torque that repeats with a period [unit of the axis], over one of them: fields of `View`.
+def wave_map(
+    view: str, m: Motion, before: ResidualResponse, after: ResidualResponse, period: float | None
+) -> dict[str, Any]:
+    """Return the torque that repeats with a period [unit of the axis], over one of them: fields of
+    `View`.
 
-    Empty where it is not periodic, or where a torque along the whole axis explains more. It is fitted through the response:
-    averages of the most likely torque are lower than the torque itself, the more so the faster a wave is passed.
+    Empty where it is not periodic, or where a torque along the whole axis explains more. It is
+    fitted through the response: averages of the most likely torque are lower than the torque
+    itself, the more so the faster a wave is passed.
     """
     found = _axis(view, m)
     if found is None or period is None or np.ptp(found[0]) <= period:
         return {}
     x, groups, names = found
     knots = np.linspace(0.0, period, MAP_PHASES + 1)
-    table = np.column_stack([np.interp(x, knots[:-1], row, period=period) for row in np.eye(MAP_PHASES)])
-    waves, whole = (np.column_stack([g[:, None] * each for g in groups]) for each in (table, hats(x, MAP_PHASES)))
+    table = np.column_stack(
+        [np.interp(x, knots[:-1], row, period=period) for row in np.eye(MAP_PHASES)]
+    )
+    waves, whole = (
+        np.column_stack([g[:, None] * each for g in groups])
+        for each in (table, hats(x, MAP_PHASES))
+    )
     curves, gain = before.regress(waves)
     if view == "tone" and len(groups) > 1:  # of records with their own clock, that with the largest
         largest = int(np.argmax(np.ptp(curves.reshape(-1, MAP_PHASES), axis=1)))
@@ -66,7 +82,9 @@ def wave_map(view: str, m: Motion, before: ResidualResponse, after: ResidualResp
 
 
 def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[str, ...]] | None:
-    """Return the variable that a view is drawn over, the samples of each line, and the names of the lines."""
+    """Return the variable that a view is drawn over, the samples of each line, and the names of the
+    lines.
+    """
     if view == "tone":
         clock = clocks(m)
         numbers = np.unique(clock)
@@ -79,7 +97,11 @@ def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[s
     way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
     if way is None:
         return x, [np.ones(len(x), dtype=bool)], ()
-    return x, [way > 0, way < 0], ("forward", "backward") if side in ("direction", "v") else (f"{side} > 0", f"{side} < 0")
+    return (
+        x,
+        [way > 0, way < 0],
+        ("forward", "backward") if side in ("direction", "v") else (f"{side} > 0", f"{side} < 0"),
+    )
 
 
 def _averages(place: NDArray[np.int_], values: Array, mask: NDArray[np.bool_], bins: int) -> Array:

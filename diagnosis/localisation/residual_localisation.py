@@ -1,4 +1,6 @@
-"""Where the residual is: the share of it that each view of the motion predicts, with its significance."""
+"""Where the residual is: the share of it that each view of the motion predicts, with its
+significance.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ Array = NDArray[np.float64]
 FOLDS = 5  # of the cross-validation over segments
 SIGN_DRAWS = 999  # draws of random signs of the segments for a p
 DRAWS_AT_ONCE = 50  # draws whose spectra are computed together
-SUFFICIENT_DRAWS = 20  # draws as high as the observed line after which a spectral line counts as an ordinary one
+# draws as high as the observed line after which a spectral line counts as an ordinary one
+SUFFICIENT_DRAWS = 20
 LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # smallest p that is reported
 LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
 VIEW_RIDGE = 1e-3  # ridge of a view's regression, relative to its mean power
@@ -35,16 +38,21 @@ TONE_BAND = (0.2, 45.0)  # frequencies [Hz] at which an oscillation in time is s
 SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record
 MOST_PERIODS = 60  # periods in a turn up to which a wave along the position is searched
 MAPPED_VIEWS = 6  # views whose residual is drawn
-SENSOR_VIEWS = ("du",)  # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
+# views that contain the sensor's own noise in a closed loop, which a residual follows in any case
+SENSOR_VIEWS = ("du",)
 OUTLIER_MISFIT = 5.0  # mean whitened squared error of a segment from which it is an outlier
 OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 
 
-def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (..., segments) -> amplitudes (..., k) of the torque.
+def spectrum(
+    time: Array, clock: NDArray[np.int_], rough: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (..., segments) ->
+    amplitudes (..., k) of the torque.
 
-    `time` and the torque `rough` are averaged by bins (segments, bins), `clock` is (segments,). The powers of segments with
-    different clocks are added, because their phases are unrelated. Each segment is transformed once: a spectrum is linear in it.
+    `time` and the torque `rough` are averaged by bins (segments, bins), `clock` is (segments,). The
+    powers of segments with different clocks are added, because their phases are unrelated. Each
+    segment is transformed once: a spectrum is linear in it.
     """
     step = float(np.median(np.diff(time, axis=1)))
     which, row = np.unique(clock, return_inverse=True)
@@ -58,7 +66,11 @@ def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array,
     np.put_along_axis(even, place, rough, axis=1)
     lines = np.array([rfft(each, SPECTRUM_PADDING * length)[inside] for each in even])
 
-    own = [(row == k, part[row == k].copy()) for k in range(len(which)) for part in (lines.real, lines.imag)]
+    own = [
+        (row == k, part[row == k].copy())
+        for k in range(len(which))
+        for part in (lines.real, lines.imag)
+    ]
 
     def amplitudes(signs: Array) -> Array:
         return np.asarray(np.sqrt(sum(np.square(signs[..., mine] @ part) for mine, part in own)))
@@ -66,27 +78,45 @@ def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array,
     return np.asarray(frequency[inside]), amplitudes
 
 
-def _searched(response: ResidualResponse, m: Motion, rough: Array, wording: Wording) -> dict[str, tuple[Array, dict[str, Any]]]:
-    """Return waves with the frequency that fits the residual best, in time and along the position, with fields of a `Share`."""
+def _searched(
+    response: ResidualResponse, m: Motion, rough: Array, wording: Wording
+) -> dict[str, tuple[Array, dict[str, Any]]]:
+    """Return waves with the frequency that fits the residual best, in time and along the position,
+    with fields of a `Share`.
+    """
     middle = _middle(response, rough)
     r, theta = rough.ravel(), m.theta[middle]
     clock = clocks(m)
-    frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough)
+    frequency, amplitudes = spectrum(
+        m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough
+    )
     tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
-    own = [(clock == k)[:, None] * harmonics(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
+    own = [
+        (clock == k)[:, None] * harmonics(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)
+    ]
     found: dict[str, tuple[Array, dict[str, Any]]] = {
         "tone": (np.column_stack(own), {"label": f"{tone:.3g} Hz", "frequency": tone})
     }
     turns = np.arange(1.0, MOST_PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
-    for view, factors in (  # an inertia that varies with the position acts by both acceleration and squared speed
-        ("theta", (one,)), ("theta x direction", (way,)), ("theta x u", (m.u,)), ("theta x a", (m.a, m.v**2)),
-    ):  # fmt: skip
-        power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
+    # an inertia that varies with the position acts by both acceleration and squared speed
+    for view, factors in (
+        ("theta", (one,)),
+        ("theta x direction", (way,)),
+        ("theta x u", (m.u,)),
+        ("theta x a", (m.a, m.v**2)),
+    ):
+        power = np.sum(
+            [np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors],
+            axis=0,
+        )
         periods = float(turns[int(np.argmax(power))])
         waves = [f[:, None] * harmonics(periods * m.theta, 1) for f in factors]
-        found[view] = np.column_stack(waves), {"label": f"{periods:.3g} in {wording.range}", "periods": periods}
+        found[view] = (
+            np.column_stack(waves),
+            {"label": f"{periods:.3g} in {wording.range}", "periods": periods},
+        )
     return found
 
 
@@ -96,45 +126,68 @@ def _middle(response: ResidualResponse, rough: Array) -> NDArray[np.int_]:
     return np.arange(rough.size * skip).reshape(-1, skip)[:, skip // 2]
 
 
-def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: Array, wording: Wording = ROTARY) -> list[Share]:
+def shares(
+    response: ResidualResponse,
+    m: Motion,
+    h: float,
+    step: float,
+    rough: Array,
+    wording: Wording = ROTARY,
+) -> list[Share]:
     """Return the views with their shares, the largest first; outlier segments come last.
 
-    A view's function is fitted on four fifths of the segments; its p is how often the strongest of all views predicts the rest
-    as well when segments get random signs. A tone is compared with the highest lines of such spectra too, because its
-    frequency was chosen. The share is the power of the view's function in the output.
-    Source: liu1988 (wild bootstrap).
+    A view's function is fitted on four fifths of the segments; its p is how often the strongest of
+    all views predicts the rest as well when segments get random signs. A tone is compared with the
+    highest lines of such spectra too, because its frequency was chosen. The share is the power of
+    the view's function in the output. Source: liu1988 (wild bootstrap).
     """
     live = np.flatnonzero(response.weight > 0)
     rng = np.random.default_rng(2)
-    signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))])
+    signs = np.concatenate(
+        [np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))]
+    )
     details, tables = {}, bases(m, h, step)
     for view, (waves, facts) in _searched(response, m, rough, wording).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         details[view] = facts
     found = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
-    ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
+    ps = {
+        view: (chance(strongest, draws[0]), chance(draws[1:], draws[0]))
+        for view, (draws, _) in found.items()
+    }
     middle = _middle(response, rough).reshape(rough.shape)[live]
     highest = line_p(m.time[middle], clocks(m)[middle[:, 0]], rough[live], signs)
     ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
     whole = float(np.square(response.plain(response.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in found.items():
-        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], alone=ps[view][1], **details.get(view, {})))
+        result.append(
+            Share(
+                view,
+                float(np.clip(power / whole, 0.0, 1.0)),
+                ps[view][0],
+                alone=ps[view][1],
+                **details.get(view, {}),
+            )
+        )
     return [*sorted(result, key=lambda each: -each.share), _outlier_share(response, m, live)]
 
 
 def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> float:
-    """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
+    """Return how often the highest line of a spectrum is as high when segments get random signs;
+    the first are the true ones.
 
-    Each draw has its own frequency, as the data had. Draws end early where the p is large. Parameters as of `spectrum`; signs
-    (draws, segments).
-    Source: besag1991 (sequential Monte Carlo p-values).
+    Each draw has its own frequency, as the data had. Draws end early where the p is large.
+    Parameters as of `spectrum`; signs (draws, segments). Source: besag1991 (sequential Monte Carlo
+    p-values).
     """
     _, amplitudes = spectrum(time, clock, rough)
     seen, higher = amplitudes(signs[0]).max(), 0
     for first in range(1, len(signs), DRAWS_AT_ONCE):
-        counted = higher + np.cumsum(amplitudes(signs[first : first + DRAWS_AT_ONCE]).max(axis=1) >= seen)
+        counted = higher + np.cumsum(
+            amplitudes(signs[first : first + DRAWS_AT_ONCE]).max(axis=1) >= seen
+        )
         if counted[-1] >= SUFFICIENT_DRAWS:
             return SUFFICIENT_DRAWS / (first + int(np.searchsorted(counted, SUFFICIENT_DRAWS)))
         higher = int(counted[-1])
@@ -144,23 +197,32 @@ def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> 
 def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]) -> Share:
     """Return the share of the squared error in outlier segments.
 
-    Its p is the probability of so many, with the heavy-tailed distribution that the fit assumes for the misfit of a segment.
+    Its p is the probability of so many, with the heavy-tailed distribution that the fit assumes for
+    the misfit of a segment.
     """
     misfit = np.square(response.rest[live]).mean(axis=1)
     far = misfit > OUTLIER_MISFIT
     power = np.square(response.plain(response.rest[live][:, :, None], live)).mean(axis=(1, 2))
     p = float(
-        binom.sf(np.count_nonzero(far) - 1, len(live), f_ratio.sf(OUTLIER_MISFIT, response.rest.shape[1] - 2, T_DEGREES_OF_FREEDOM))
+        binom.sf(
+            np.count_nonzero(far) - 1,
+            len(live),
+            f_ratio.sf(OUTLIER_MISFIT, response.rest.shape[1] - 2, T_DEGREES_OF_FREEDOM),
+        )
     )
     worst = m.time.reshape(response.shape)[live[int(np.argmax(misfit))], 0]
     label = f"{np.count_nonzero(far)} of {len(live)} segments, the worst at {worst:.3g} s"
     return Share(OUTLIERS, float(power[far].sum() / power.sum()), p, label)
 
 
-def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_], signs: Array) -> tuple[Array, float]:
-    """Return for each set of signs by how much the weighted square of left-out segments falls, and a power.
+def _predicted(
+    response: ResidualResponse, basis: Array, live: NDArray[np.int_], signs: Array
+) -> tuple[Array, float]:
+    """Return for each set of signs by how much the weighted square of left-out segments falls, and
+    a power.
 
-    The power is the mean square [output squared] of what the view's function does to the output, less what chance contributes.
+    The power is the mean square [output squared] of what the view's function does to the output,
+    less what chance contributes.
     """
     columns = response.free_of_model(response.through(basis))[live]
     weight, rest = response.weight[live], response.rest[live]
@@ -175,7 +237,9 @@ def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_],
         held = grams[test].sum(axis=0)
         learned = np.linalg.solve(total - held + ridge, ((signs[:, ~test]) @ slopes[~test]).T).T
         seen = signs[:, test] @ slopes[test]
-        gain += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum("rk,kl,rl->r", learned, held, learned, optimize=True)
+        gain += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum(
+            "rk,kl,rl->r", learned, held, learned, optimize=True
+        )
     inverse = np.linalg.inv(total + ridge)
     outer = inverse @ slopes.sum(axis=0)
     chance = inverse @ (slopes.T @ slopes) @ inverse
@@ -184,16 +248,26 @@ def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_],
     return gain, float(outer @ gram @ outer - np.sum(chance * gram))
 
 
-@lru_cache(maxsize=1)  # a search ends where nothing is left of a residual, which the answer then shows
-def _localised(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array, ResidualResponse]:
-    """Return what each view predicts of a residual, the torque behind it (samples,) [N.m], and the response it comes from."""
+# a search ends where nothing is left of a residual, which the answer then shows
+@lru_cache(maxsize=1)
+def _localised(
+    fitted: FittedModel, dataset: Dataset
+) -> tuple[list[Share], Array, ResidualResponse]:
+    """Return what each view predicts of a residual, the torque behind it (samples,) [N.m], and the
+    response it comes from.
+    """
     response = ResidualResponse(fitted, dataset)
     torque = response.torque() * (fitted.fit.weight > 0)[:, None]
     rough = torque.reshape(len(torque), dataset.segments.bins, -1).mean(axis=2)
-    factor = 2 * math.pi / dataset.turn  # periods are counted along the path after which a motion begins anew
+    # periods are counted along the path after which a motion begins anew
+    factor = 2 * math.pi / dataset.turn
     around = replace(dataset.motion, theta=factor * dataset.motion.theta)
     wording = Wording(dataset.linear)
-    return shares(response, around, dataset.segments.h, factor * dataset.resolution, rough, wording), torque.ravel(), response
+    return (
+        shares(response, around, dataset.segments.h, factor * dataset.resolution, rough, wording),
+        torque.ravel(),
+        response,
+    )
 
 
 def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
@@ -201,14 +275,19 @@ def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
     return _localised(fitted, dataset)[0]
 
 
-def localise(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[View, ...], list[Share]]:
-    """Return the views before and after, both under the final model's noise, with maps; and the shares after."""
+def localise(
+    dataset: Dataset, base: FittedModel, final: FittedModel
+) -> tuple[tuple[View, ...], list[Share]]:
+    """Return the views before and after, both under the final model's noise, with maps; and the
+    shares after.
+    """
     after, new, response = _localised(final, dataset)
     before, old = after, new
     if final is not base:
         refitted = evaluate(final.problem, base.fit)
         before, old, _ = _localised(FittedModel(base.servo, final.problem, refitted), dataset)
-    before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)  # what chance gives comes last, whatever its share
+    # what chance gives comes last, whatever its share
+    before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)
     responses = ResidualResponse(base, dataset), response  # each under its own noise
     later = {share.view: share for share in after}
     views: list[View] = []

@@ -1,4 +1,6 @@
-"""Whether a part of the residual is unexplained: predictable from the motion, and not the form of an effect that was named."""
+"""Whether a part of the residual is unexplained: predictable from the motion, and not the form of
+an effect that was named.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,18 @@ from bristle.diagnosis.localisation.views import Share, is_form, is_same, period
 from bristle.plant.effects import effect as find_effect
 
 CERTAIN_P = 0.03  # p over all views up to which a share is taken for real
-VIEW_ALONE_P = 0.05  # p of a view by itself up to which its wave is taken for real, where a named effect has the same period
+# p of a view by itself up to which its wave is taken for real, where a named effect has the same
+# period
+VIEW_ALONE_P = 0.05
 MIN_SHARE = 0.15  # share of the residual's power that a view must predict to be reported
-OUTLIER_RECORD_SHARE = 0.08  # the same where nothing is named and the model misses some segment by far
-SMALLEST_P, SMALLEST_P_SHARE = 0.001, 0.05  # p that no draw reaches, and the share that is enough then, where nothing is named
+# the same where nothing is named and the model misses some segment by far
+OUTLIER_RECORD_SHARE = 0.08
+# p that no draw reaches, and the share that is enough then, where nothing is named
+SMALLEST_P, SMALLEST_P_SHARE = 0.001, 0.05
 MIN_SHARE_OF_GAP = 0.1  # share of the error before, once an effect is named
 SAME_WAVE_SHARE_OF_GAP = 0.05  # the same for a wave with the period of the named effect
-TONE_SHARE = 0.3  # share of the residual of an oscillation in time, however small beside the error before
+# share of the residual of an oscillation in time, however small beside the error before
+TONE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -27,12 +34,15 @@ class Unexplained:
     flag: bool
     view: str | None  # that it shows in
     share: float  # of the residual
-    disturbance: float = 0.0  # rms of the disturbance torque that the fit needs, over that of the input's torque
+    # rms of the disturbance torque that the fit needs, over that of the input's torque
+    disturbance: float = 0.0
     label: str = ""  # as of the `Share`
 
     @property
     def predictable(self) -> bool:
-        """Whether so much of the residual is predicted, reported or not, that noise alone is less than the residual."""
+        """Whether so much of the residual is predicted, reported or not, that noise alone is less
+        than the residual.
+        """
         return self.flag or (self.view is not None and self.share >= MIN_SHARE)
 
 
@@ -43,32 +53,47 @@ class FinalModel:
     named: Sequence[str] = ()  # effects
     values: Mapping[str, float] = field(default_factory=dict)  # its parameters [SI]
     turn: float = 6.283185307179586  # path along which periods are counted [rad or m]
-    error_left: float = 1.0  # mean squared error on held-out segments, over that of the model without effects
-    error_fall: float = 1.0  # factor by which the error falls there, with the influence of single segments bounded
+    # mean squared error on held-out segments, over that of the model without effects
+    error_left: float = 1.0
+    # factor by which the error falls there, with the influence of single segments bounded
+    error_fall: float = 1.0
     outliers: bool = False  # whether it misses some segment by far
     disturbance: float = 0.0  # as of `Unexplained`
 
     @property
     def free_play(self) -> bool:
-        """Whether a load with free play is among the named effects: its segments may diverge by chance."""
+        """Whether a load with free play is among the named effects: its segments may diverge by
+        chance.
+        """
         return any(find_effect(name).coupling for name in self.named)
 
     @property
     def ineffective(self) -> bool:
-        """Whether effects were named that do not lower the error on held-out segments, although they act in all of them."""
+        """Whether effects were named that do not lower the error on held-out segments, although
+        they act in all of them.
+        """
         everywhere = not self.free_play and not any(find_effect(name).sparse for name in self.named)
         return bool(self.named) and self.error_fall < 1 and everywhere
 
 
 def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
-    """Return whether a part of the residual is unexplained; `shares` are those of the final model, the largest first.
+    """Return whether a part of the residual is unexplained; `shares` are those of the final model,
+    the largest first.
 
-    A multiple of a named wave is its form. The named wave itself, which was free to fit, is something else, and evidence in
-    that view alone is enough. Where nothing is named and the fit needs a large disturbance, there is more to it, whether a
-    view shows it or not.
+    A multiple of a named wave is its form. The named wave itself, which was free to fit, is
+    something else, and evidence in that view alone is enough. Where nothing is named and the fit
+    needs a large disturbance, there is more to it, whether a view shows it or not.
     """
-    seen = [each for each in shares if each.view not in SENSOR_VIEWS and not (model.free_play and each.view == OUTLIERS)]
-    waves = [periods for name in model.named if (periods := periods_of(name, model.values, model.turn)) is not None]
+    seen = [
+        each
+        for each in shares
+        if each.view not in SENSOR_VIEWS and not (model.free_play and each.view == OUTLIERS)
+    ]
+    waves = [
+        periods
+        for name in model.named
+        if (periods := periods_of(name, model.values, model.turn)) is not None
+    ]
     if model.ineffective:
         return Unexplained(True, seen[0].view, seen[0].share, model.disturbance, seen[0].label)
     certain = []
@@ -77,7 +102,9 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
         if not (share.p <= CERTAIN_P or (same and share.alone <= VIEW_ALONE_P)):
             continue
         certain.append(share)
-        if _is_large(share, model, same) and not any(is_form(share.periods, wave) for wave in waves):
+        if _is_large(share, model, same) and not any(
+            is_form(share.periods, wave) for wave in waves
+        ):
             return Unexplained(True, share.view, share.share, model.disturbance, share.label)
     first = (certain or shares)[0]
     view, label = (first.view, first.label) if certain else (None, "")
@@ -86,10 +113,16 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
 
 
 def _is_large(share: Share, model: FinalModel, same: bool) -> bool:
-    """Return whether a share is large enough to be reported; `same`: its period is that of a named effect."""
+    """Return whether a share is large enough to be reported; `same`: its period is that of a named
+    effect.
+    """
     if model.named:
-        of_gap = share.share * model.error_left >= (SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP)
-        return share.share >= MIN_SHARE and (of_gap or (share.view == "tone" and share.share >= TONE_SHARE))
+        of_gap = share.share * model.error_left >= (
+            SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP
+        )
+        return share.share >= MIN_SHARE and (
+            of_gap or (share.view == "tone" and share.share >= TONE_SHARE)
+        )
     if share.p <= SMALLEST_P:
         return share.share >= SMALLEST_P_SHARE
     return share.share >= (OUTLIER_RECORD_SHARE if model.outliers else MIN_SHARE)

@@ -1,4 +1,6 @@
-"""What no effect of the catalogue explains, fitted as a smooth function of one variable: an unnamed torque with its band."""
+"""What no effect of the catalogue explains, fitted as a smooth function of one variable: an unnamed
+torque with its band.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,17 @@ from bristle.diagnosis.localisation.residual_localisation import FOLDS, VIEW_RID
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.plant.unnamed_torque import UNNAMED_KNOTS
 
-SMOOTHNESS = tuple(10.0**k for k in range(-6, 3))  # weights of the smoothness that are tried, relative to the data's
+# weights of the smoothness that are tried, relative to the data's
+SMOOTHNESS = tuple(10.0**k for k in range(-6, 3))
 FILL_PASSES = 2  # alternations of the curve and the model's own parameters
 RANGE_QUANTILES = (0.005, 0.995)  # of the variable in motion: the range that a curve covers
 
 
 @dataclass(frozen=True)
 class Curve:
-    """An unnamed torque over one variable: `values` [N.m] at even places from `low` to `high`, linear between, constant beyond."""
+    """An unnamed torque over one variable: `values` [N.m] at even places from `low` to `high`,
+    linear between, constant beyond.
+    """
 
     variable: str  # v, theta, u or t
     low: float
@@ -46,12 +51,16 @@ class Curve:
     @property
     def parameters(self) -> dict[str, float]:
         """Its parameters by their short names."""
-        return {"low": self.low, "high": self.high} | {f"value{k + 1}": float(x) for k, x in enumerate(self.values)}
+        return {"low": self.low, "high": self.high} | {
+            f"value{k + 1}": float(x) for k, x in enumerate(self.values)
+        }
 
 
 @dataclass(frozen=True)
 class Filled:
-    """A model with the curve that explains most of what it leaves, fitted to the training segments."""
+    """A model with the curve that explains most of what it leaves, fitted to the training
+    segments.
+    """
 
     curve: Curve
     fitted: FittedModel
@@ -61,7 +70,9 @@ class Filled:
 
 @dataclass(frozen=True)
 class _Columns:
-    """The linear response to the values of a curve, segment by segment, with the residual that they are to explain."""
+    """The linear response to the values of a curve, segment by segment, with the residual that they
+    are to explain.
+    """
 
     own: Array  # (segments, bins, k)
     target: Array  # (segments, bins)
@@ -82,17 +93,21 @@ def _hats(x: Array, low: float, high: float) -> Array:
 
 
 def _penalty(gram: Array, smoothness: float) -> Array:
-    """Return the curvature of the smoothness, on the scale of the data's, and a small ridge for what the model could do as well.
+    """Return the curvature of the smoothness, on the scale of the data's, and a small ridge for
+    what the model could do as well.
 
     Source: eilers1996 (squares of second differences).
     """
     second = np.diff(np.eye(UNNAMED_KNOTS), 2, axis=0)
     scale = np.trace(gram) / UNNAMED_KNOTS + 1e-300
-    return np.asarray(scale * (smoothness * second.T @ second + 1e-3 * VIEW_RIDGE * np.eye(UNNAMED_KNOTS)))
+    return np.asarray(
+        scale * (smoothness * second.T @ second + 1e-3 * VIEW_RIDGE * np.eye(UNNAMED_KNOTS))
+    )
 
 
 def _left_out_gain(columns: _Columns, smoothness: float) -> float:
-    """Return by how much the log-likelihood of segments rises that are left out of the fit in turn [nats].
+    """Return by how much the log-likelihood of segments rises that are left out of the fit in turn
+    [nats].
 
     Source: stone1974 (cross-validation).
     """
@@ -108,11 +123,22 @@ def _left_out_gain(columns: _Columns, smoothness: float) -> float:
 
 
 def _variables(dataset: Dataset, final: FittedModel) -> dict[str, Array]:
-    """Return the variables (samples,) that a curve may be over; none that differs between records by an unknown constant."""
+    """Return the variables (samples,) that a curve may be over; none that differs between records
+    by an unknown constant.
+    """
     m, s = dataset.motion, dataset.segments
-    found = {"v": m.v, "theta": m.theta, "u": m.u, "t": dataset.time_at(final.fit.simulator.segments.times)}
+    found = {
+        "v": m.v,
+        "theta": m.theta,
+        "u": m.u,
+        "t": dataset.time_at(final.fit.simulator.segments.times),
+    }
     several = len(s.pieces) > 1
-    unknown = {name for name, condition in (("theta", s.velocity and several), ("t", s.own_clocks)) if condition}
+    unknown = {
+        name
+        for name, condition in (("theta", s.velocity and several), ("t", s.own_clocks))
+        if condition
+    }
     taken = {name for name in found if f"unnamed_torque_{name}" in final.servo.effects}
     return {name: x for name, x in found.items() if name not in unknown | taken}
 
@@ -124,7 +150,8 @@ def _columns(response: ResidualResponse, hats: Array, values: Array) -> _Columns
 
 
 def _solved(columns: _Columns) -> tuple[Array, Array, float]:
-    """Return values and half the width of their 95 % band (UNNAMED_KNOTS,), smoothed as left-out segments ask, and the gain there.
+    """Return values and half the width of their 95 % band (UNNAMED_KNOTS,), smoothed as left-out
+    segments ask, and the gain there.
 
     Source: white1982 (sandwich).
     """
@@ -132,16 +159,20 @@ def _solved(columns: _Columns) -> tuple[Array, Array, float]:
     gram, side = columns.normal()
     inverse = np.linalg.inv(gram + _penalty(gram, smoothness))
     values = inverse @ side
-    scores = columns.weight[:, None] * np.einsum("snk,sn->sk", columns.own, columns.target - columns.own @ values)
+    scores = columns.weight[:, None] * np.einsum(
+        "snk,sn->sk", columns.own, columns.target - columns.own @ values
+    )
     spread = np.sqrt(np.maximum(np.diag(inverse @ (scores.T @ scores) @ inverse), 0.0))
     return np.asarray(values), np.asarray(1.96 * INTERVAL_FACTOR * spread), gain
 
 
 def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
-    """Fit what a model leaves as a smooth function of the variable that predicts most of it in left-out segments.
+    """Fit what a model leaves as a smooth function of the variable that predicts most of it in
+    left-out segments.
 
-    The curve is a linear regression on the response of the residual, in turn with a refit of the model's own parameters by
-    simulation. None where no variable predicts anything. Segments held out from the search take no part.
+    The curve is a linear regression on the response of the residual, in turn with a refit of the
+    model's own parameters by simulation. None where no variable predicts anything. Segments held
+    out from the search take no part.
     """
     response = ResidualResponse(final, dataset)
     best: tuple[float, Curve, Array] | None = None
@@ -160,9 +191,14 @@ def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
     simulator, fitted = servo.simulator(final.fit.simulator.segments), final
     for k in range(FILL_PASSES):
         if k:
-            values, half, _ = _solved(_columns(ResidualResponse(fitted, dataset), hats, curve.values))
+            values, half, _ = _solved(
+                _columns(ResidualResponse(fitted, dataset), hats, curve.values)
+            )
             curve = replace(curve, values=values, half_width=half)
-        known = {**fitted.fit.values, **{f"{curve.effect}.{name}": x for name, x in curve.parameters.items()}}
+        known = {
+            **fitted.fit.values,
+            **{f"{curve.effect}.{name}": x for name, x in curve.parameters.items()},
+        }
         point = Point(simulator, servo.free, known, fitted.fit.initial)
         fit = refit_with_noise(dataset, refit_parameters(fitted.problem, point))
         problem = under_own_noise(dataset, fit)

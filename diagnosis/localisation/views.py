@@ -1,4 +1,6 @@
-"""Views of the motion: functions of position, velocity, input and time that may predict a residual."""
+"""Views of the motion: functions of position, velocity, input and time that may predict a
+residual.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,15 @@ from bristle.plant.effects import effect as find_effect
 Array = NDArray[np.float64]
 
 VIEW_KNOTS = 9  # knots of a piecewise linear function of a view
-CLOCK_SPAN = 3.0  # span of records over their total duration, beyond which a tone's phase cannot be followed between them
+# span of records over their total duration, beyond which a tone's phase cannot be followed between
+# them
+CLOCK_SPAN = 3.0
 PATH_POINTS = 5000  # points of the path that hysteresis elements follow, about
 PERIOD_TOLERANCE = 0.03  # relative difference up to which two numbers of periods count as equal
 FORM_HARMONICS = (2, 3, 4)  # multiples of a wave's periods that count as its form
 HYSTERESIS_ELEMENTS = 5  # elastic elements of different widths that make up a hysteresis
-MIN_WIDTH_STEPS, MIN_TRAVEL_STEPS = 4, 40  # narrowest element and least travel, in steps of the sensor
+# narrowest element and least travel, in steps of the sensor
+MIN_WIDTH_STEPS, MIN_TRAVEL_STEPS = 4, 40
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,9 @@ class Share:
     frequency: float | None = None  # of the wave that was found in time [Hz]
 
     def period(self, turn: float) -> float | None:
-        """Return the length of the wave that was found, in the unit of `turn` or in seconds; None without a wave."""
+        """Return the length of the wave that was found, in the unit of `turn` or in seconds; None
+        without a wave.
+        """
         if self.frequency is not None:
             return 1 / self.frequency
         return None if self.periods is None else turn / self.periods
@@ -45,7 +52,9 @@ class Share:
 
 @dataclass(frozen=True)
 class View:
-    """What a view predicts of the residual before and after the named effects were added; shares, p, label as of `Share`."""
+    """What a view predicts of the residual before and after the named effects were added; shares,
+    p, label as of `Share`.
+    """
 
     view: str
     share: float
@@ -53,11 +62,14 @@ class View:
     share_after: float
     p_after: float
     label: str = ""
-    centres: Array = field(default_factory=lambda: np.empty(0))  # (bins,), values of the variable [SI] at which it is drawn
-    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins), residual torque there [N.m; N on a linear axis]
+    # (bins,), values of the variable [SI] at which it is drawn
+    centres: Array = field(default_factory=lambda: np.empty(0))
+    # (lines, bins), residual torque there [N.m; N on a linear axis]
+    before: Array = field(default_factory=lambda: np.empty(0))
     after: Array = field(default_factory=lambda: np.empty(0))  # the same
     lines: tuple[str, ...] = ()  # names of the lines, such as forward and backward
-    period: float | None = None  # length of one period, if that is what is drawn [unit of the variable]
+    # length of one period, if that is what is drawn [unit of the variable]
+    period: float | None = None
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
@@ -73,12 +85,16 @@ def is_same(periods: float | None, wave: float) -> bool:
 
 
 def is_form(periods: float | None, wave: float) -> bool:
-    """True if the number of periods is a small multiple of a wave's, so that it may be a harmonic of its form."""
+    """True if the number of periods is a small multiple of a wave's, so that it may be a harmonic
+    of its form.
+    """
     return periods is not None and any(is_same(periods, k * wave) for k in FORM_HARMONICS)
 
 
 def hats(x: Array, knots: int = VIEW_KNOTS) -> Array:
-    """Return piecewise linear functions (n, knots) that add up to one, with knots where the data are."""
+    """Return piecewise linear functions (n, knots) that add up to one, with knots where the data
+    are.
+    """
     at = np.unique(np.quantile(x, np.linspace(0.005, 0.995, knots)))
     if len(at) < 2:
         return np.ones((len(x), 1))
@@ -87,7 +103,8 @@ def hats(x: Array, knots: int = VIEW_KNOTS) -> Array:
 
 
 def hysteresis(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
-    """Return the deflections (n, widths) of elastic elements that slide beyond a width, scaled to -1..1.
+    """Return the deflections (n, widths) of elastic elements that slide beyond a width, scaled to
+    -1..1.
 
     They are computed at some thousand points of the path and held between them.
     Source: albender2005 (hysteresis as parallel elasto-slide elements).
@@ -104,7 +121,9 @@ def hysteresis(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
 
 
 def harmonics(angle: Array, count: int) -> Array:
-    return np.column_stack([wave(k * angle) for k in range(1, count + 1) for wave in (np.sin, np.cos)])
+    return np.column_stack(
+        [wave(k * angle) for k in range(1, count + 1) for wave in (np.sin, np.cos)]
+    )
 
 
 def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
@@ -112,7 +131,11 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     way = np.sign(m.v)[:, None]
     du = np.diff(m.u, prepend=m.u[0]) / h
     turn = np.column_stack([harmonics(m.theta, 3), hats(m.theta)])
-    widths = np.geomspace(MIN_WIDTH_STEPS * step, max(0.2 * np.ptp(m.theta), MIN_TRAVEL_STEPS * step), HYSTERESIS_ELEMENTS)
+    widths = np.geomspace(
+        MIN_WIDTH_STEPS * step,
+        max(0.2 * np.ptp(m.theta), MIN_TRAVEL_STEPS * step),
+        HYSTERESIS_ELEMENTS,
+    )
     span = np.column_stack([np.ones_like(m.u), m.u, np.abs(m.u)])
     return {
         "v": hats(m.v, 13),
@@ -131,12 +154,18 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
 
 
 def clocks(m: Motion) -> NDArray[np.int_]:
-    """Return for each sample (n,) the number of its clock: 0 where the records share one, else that of its record.
+    """Return for each sample (n,) the number of its clock: 0 where the records share one, else that
+    of its record.
 
-    They do not if their times overlap, as those of files that each begin at 0 do, or if they are so far apart that the phase
-    of a tone cannot be followed from one to the next.
+    They do not if their times overlap, as those of files that each begin at 0 do, or if they are so
+    far apart that the phase of a tone cannot be followed from one to the next.
     """
-    ends = sorted((float(t[0]), float(t[-1])) for t in (m.time[m.record == k] for k in range(int(m.record.max()) + 1)))
+    ends = sorted(
+        (float(t[0]), float(t[-1]))
+        for t in (m.time[m.record == k] for k in range(int(m.record.max()) + 1))
+    )
     apart = all(before[1] < after[0] for before, after in pairwise(ends))
-    together = apart and ends[-1][1] - ends[0][0] < CLOCK_SPAN * sum(last - first for first, last in ends)
+    together = apart and ends[-1][1] - ends[0][0] < CLOCK_SPAN * sum(
+        last - first for first, last in ends
+    )
     return np.zeros_like(m.record) if together else m.record

@@ -1,4 +1,6 @@
-"""What a diagnosis leaves behind: numbers, a report, the augmented model and its FMUs; all of it or nothing."""
+"""What a diagnosis leaves behind: numbers, a report, the augmented model and its FMUs; all of it or
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,26 @@ from typing import Any
 import numpy as np
 
 from bristle.common.errors import BristleError, IncompleteError
-from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
+from bristle.common.output import (
+    check_no_folder,
+    check_not_replaced,
+    check_writable,
+    replace_files,
+    to_json,
+)
 from bristle.common.provenance import provenance
 from bristle.common.work import TemporaryFolder
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
 from bristle.diagnosis.report.html import render
-from bristle.diagnosis.report.result import EXPERIMENT_FILE, DesignedInput, Diagnosis, Estimate, UnnamedTorque
+from bristle.diagnosis.report.result import (
+    EXPERIMENT_FILE,
+    DesignedInput,
+    Diagnosis,
+    Estimate,
+    UnnamedTorque,
+)
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
 from bristle.fmus.related import related_files
@@ -29,7 +43,14 @@ from bristle.plant.servo import ENCODER_COUNTS
 Related = Callable[[Mapping[str, bytes]], Mapping[str, bytes]]  # gives files to add to an FMU
 
 MOST_SAMPLES_INSIDE = 5000  # of a record, which an FMU holds as inputs of its experiment
-WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu", EXPERIMENT_FILE)
+WRITTEN_FILES = (
+    "diagnosis.json",
+    "report.html",
+    "augmented.toml",
+    "augmented.fmu",
+    "correction.fmu",
+    EXPERIMENT_FILE,
+)
 
 
 @dataclass(frozen=True)
@@ -42,11 +63,14 @@ class Augmented:
     parameters: dict[str, float]  # start values [SI] of the servo
 
 
-def augment(diagnosis: Diagnosis, choose: str | None = None, fill: bool = False) -> Augmented | None:
+def augment(
+    diagnosis: Diagnosis, choose: str | None = None, fill: bool = False
+) -> Augmented | None:
     """Return the model with what was found, or None where nothing may be added.
 
-    `choose` is a member of a tie to take as if it had been named; `BristleError` if it is none, or its parameters are unknown. With
-    `fill` the unexplained residual is added as an unnamed torque, where one is offered.
+    `choose` is a member of a tie to take as if it had been named; `BristleError` if it is none, or
+    its parameters are unknown. With `fill` the unexplained residual is added as an unnamed torque,
+    where one is offered.
     """
     if fill and diagnosis.unnamed is not None and diagnosis.unnamed.offered:
         return _filled(diagnosis, diagnosis.unnamed, choose)
@@ -59,19 +83,28 @@ def augment(diagnosis: Diagnosis, choose: str | None = None, fill: bool = False)
     found = {effect.name: effect.parameters for effect in diagnosis.effects}
     own = diagnosis.parameters
     if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
-        found = {name: each for name, each in found.items() if name not in _mates(diagnosis, choose)}
-        own = diagnosis.choice_parameters.get(choose, own)  # and what was named before, as it is beside that
-        found = {name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()} for name, each in found.items()}
+        found = {
+            name: each for name, each in found.items() if name not in _mates(diagnosis, choose)
+        }
+        # and what was named before, as it is beside that
+        own = diagnosis.choice_parameters.get(choose, own)
+        found = {
+            name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()}
+            for name, each in found.items()
+        }
         found |= {choose: diagnosis.choices[choose]}
     model = refitted_model(diagnosis.model, own or diagnosis.base, found)
     return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
 
 
 def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) -> Augmented:
-    """Return the model with what was named and the unnamed torque; its parameters are those fitted beside that."""
+    """Return the model with what was named and the unnamed torque; its parameters are those fitted
+    beside that.
+    """
     if choose is not None:
         raise BristleError(
-            f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect or fill, not both"
+            f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect"
+            " or fill, not both"
         )
     found = {e.name: e.parameters for e in diagnosis.effects}
     own = {
@@ -90,15 +123,22 @@ def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
     names = [effect.name for effect in diagnosis.effects]
     if choose in diagnosis.choices or choose in names:
         return
-    members = ", ".join(diagnosis.choices) or ", ".join(name for tie in diagnosis.ties for name in tie)
+    members = ", ".join(diagnosis.choices) or ", ".join(
+        name for tie in diagnosis.ties for name in tie
+    )
     if named := [name for name in names if name in _mates(diagnosis, choose)]:
         raise BristleError(
-            f"chosen effect '{choose}': '{named[0]}' stands for it, and other effects were added to that; leave it out, "
-            f"or give the model '{choose}' in [effects] and diagnose again"
+            f"chosen effect '{choose}': '{named[0]}' stands for it, and other effects were added to"
+            f" that; leave it out, or give the model '{choose}' in [effects] and diagnose again"
         )
     if not members:
-        raise BristleError(f"chosen effect '{choose}': the verdict is '{diagnosis.verdict}', there is no tie; leave it out")
-    raise BristleError(f"chosen effect '{choose}': not a member of the tie; choose one of: {members}")
+        raise BristleError(
+            f"chosen effect '{choose}': the verdict is '{diagnosis.verdict}', there is no tie;"
+            " leave it out"
+        )
+    raise BristleError(
+        f"chosen effect '{choose}': not a member of the tie; choose one of: {members}"
+    )
 
 
 def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
@@ -106,30 +146,46 @@ def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
     return next((tie for tie in diagnosis.ties if name in tie), ())
 
 
-def refitted_model(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
-    """Return the model with fitted values; its bounds give way where a value lies outside, so that the file reads back."""
-    values = {**model.parameters, **{name: e.value for name, e in own.items() if name in model.parameters}}
-    bounds = {name: (min(low, values[name]), max(high, values[name])) for name, (low, high) in model.bounds.items()}
+def refitted_model(
+    model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]
+) -> Model:
+    """Return the model with fitted values; its bounds give way where a value lies outside, so that
+    the file reads back.
+    """
+    values = {
+        **model.parameters,
+        **{name: e.value for name, e in own.items() if name in model.parameters},
+    }
+    bounds = {
+        name: (min(low, values[name]), max(high, values[name]))
+        for name, (low, high) in model.bounds.items()
+    }
     effects = {name: dict(given) for name, given in model.effects.items()}
     for name, e in own.items():  # an effect the model had already is refitted like the rest
         effect, _, parameter = name.partition(".")
         if effect in effects:
             effects[effect][parameter] = e.value
     for effect, estimates in found.items():
-        declared = {p.name.removeprefix(f"{effect}."): p.default for p in find_effect(effect).parameters}
+        declared = {
+            p.name.removeprefix(f"{effect}."): p.default for p in find_effect(effect).parameters
+        }
         effects[effect] = {**declared, **{name: e.value for name, e in estimates.items()}}
     return replace(model, parameters=values, bounds=bounds, effects=effects)
 
 
 def _settings(model: Model) -> dict[str, float]:
-    """Return the start values of the servo: those of the model, and an encoder of its resolution."""
+    """Return the start values of the servo: those of the model, and an encoder of its
+    resolution.
+    """
     values = model.settings()
     if model.resolution and model.output_kind == "position":
-        values[ENCODER_COUNTS.name] = min(max(2 * math.pi / model.resolution, ENCODER_COUNTS.minimum), ENCODER_COUNTS.maximum)
+        values[ENCODER_COUNTS.name] = min(
+            max(2 * math.pi / model.resolution, ENCODER_COUNTS.minimum), ENCODER_COUNTS.maximum
+        )
     return values
 
 
-# -- the content of the files -----------------------------------------------------------------------------------------
+# -- the content of the files ----------------------------------------------------------------------
 @dataclass
 class _Package:
     """Files by name, what each is, and what could not be made."""
@@ -149,7 +205,9 @@ class _Package:
             self.notes.append(f"{name} was not written: {error}")
 
 
-def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[str, Any], fill: bool) -> _Package:
+def _package(
+    diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[str, Any], fill: bool
+) -> _Package:
     package = _Package()
     if fill and not (diagnosis.unnamed is not None and diagnosis.unnamed.offered):
         package.notes.append(nothing_filled(diagnosis))
@@ -161,17 +219,27 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[s
         package.problems.append(error)
         package.notes.append(str(error))
         choose = None
-    chosen = {} if choose is None else {"chosen": choose}  # what the augmented model has in place of what stands for it
+    # what the augmented model has in place of what stands for it
+    chosen = {} if choose is None else {"chosen": choose}
     told = diagnosis.to_dict() | chosen
     package.content["diagnosis.json"] = to_json(told | {"provenance": made}).encode()
     if augmented is not None:
         report = {
-            "diagnosis.json": to_json({key: each for key, each in told.items() if key != "seconds"}).encode()
+            "diagnosis.json": (
+                to_json({key: each for key, each in told.items() if key != "seconds"}).encode()
+            )
         }  # each time alike
-        _add_models(package, augmented, fmi, partial(related_files, report=report, **_first_record(diagnosis)))
+        _add_models(
+            package,
+            augmented,
+            fmi,
+            partial(related_files, report=report, **_first_record(diagnosis)),
+        )
     if diagnosis.designed is not None and diagnosis.designed.written:
         package.content[EXPERIMENT_FILE] = _table(diagnosis.designed).encode()
-        package.meaning[EXPERIMENT_FILE] = "input to play back in open loop: a record that tells apart what these do not"
+        package.meaning[EXPERIMENT_FILE] = (
+            "input to play back in open loop: a record that tells apart what these do not"
+        )
     page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
     package.content["report.html"] = page.encode()
     return package
@@ -188,51 +256,86 @@ def nothing_filled(diagnosis: Diagnosis) -> str:
 
 def _table(designed: DesignedInput) -> str:
     """Return a designed input as the content of a CSV file."""
-    lines = [",".join(designed.columns), *(f"{t:.9g},{u:.9g}" for t, u in zip(designed.time, designed.u, strict=True))]
+    lines = [
+        ",".join(designed.columns),
+        *(f"{t:.9g},{u:.9g}" for t, u in zip(designed.time, designed.u, strict=True)),
+    ]
     return "\n".join(lines) + "\n"
 
 
 def _first_record(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return step and inputs of a short run of the FMUs: as in the first record, if it was simulated."""
+    """Return step and inputs of a short run of the FMUs: as in the first record, if it was
+    simulated.
+    """
     if diagnosis.whole is None or not diagnosis.whole.traces:
         return {}
     trace = diagnosis.whole.traces[0]
-    time, u, y = (column[:MOST_SAMPLES_INSIDE] for column in (trace.time, trace.input, trace.measured))
+    time, u, y = (
+        column[:MOST_SAMPLES_INSIDE] for column in (trace.time, trace.input, trace.measured)
+    )
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    moved = {"theta": y, "v": np.gradient(y, step)} if diagnosis.model.output_kind == "position" else {"v": y}
+    moved = (
+        {"theta": y, "v": np.gradient(y, step)}
+        if diagnosis.model.output_kind == "position"
+        else {"v": y}
+    )
     return {"step": step, "stimuli": {"u": u, **moved}}
 
 
 def _add_models(package: _Package, augmented: Augmented, fmi: int, related: Related) -> None:
-    extra = f" with {', '.join(augmented.added)} added" if augmented.added else " refitted; no effect was added"
+    extra = (
+        f" with {', '.join(augmented.added)} added"
+        if augmented.added
+        else " refitted; no effect was added"
+    )
     package.add("augmented.toml", f"the model{extra}", lambda: model_text(augmented.model).encode())
     unit = augmented.model.input_unit.replace(".", "·")
-    about = f"the plant{extra}, FMI {fmi}.0; what was identified are its start values; u is in {unit}"
-    package.add("augmented.fmu", about, lambda: _made(lambda out: _build_plant(augmented, out, fmi, related)))
+    about = (
+        f"the plant{extra}, FMI {fmi}.0; what was identified are its start values; u is in {unit}"
+    )
+    package.add(
+        "augmented.fmu",
+        about,
+        lambda: _made(lambda out: _build_plant(augmented, out, fmi, related)),
+    )
     reasons = {name: refusal(name, augmented.effects, augmented.added) for name in augmented.added}
     possible = [name for name, reason in reasons.items() if reason is None]
     refused = [reason for reason in reasons.values() if reason is not None]
     if possible:
         about = _about_correction(possible, refused)
-        package.add("correction.fmu", about, lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi, related)))
+        package.add(
+            "correction.fmu",
+            about,
+            lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi, related)),
+        )
     elif refused:
         package.meaning["no correction.fmu"] = "; ".join(refused)
 
 
 def _about_correction(possible: list[str], refused: list[str]) -> str:
-    text = f"what to feed a plant that lacks {', '.join(possible)}, so that it behaves as if it had it"
+    text = (
+        f"what to feed a plant that lacks {', '.join(possible)}, so that it behaves as if it had it"
+    )
     text += "; pass u_corrected on within the step, else it comes a sample late"
     return f"{text}. Not in it: {'; '.join(refused)}" if refused else text
 
 
 def _build_plant(augmented: Augmented, out: Path, fmi: int, related: Related) -> None:
     build(
-        "plant", out, fmi=fmi, law=augmented.model.friction, effects=augmented.effects, parameters=augmented.parameters,
-        units=augmented.model.unit_in_fmu, related=related,
-    )  # fmt: skip
+        "plant",
+        out,
+        fmi=fmi,
+        law=augmented.model.friction,
+        effects=augmented.effects,
+        parameters=augmented.parameters,
+        units=augmented.model.unit_in_fmu,
+        related=related,
+    )
 
 
-def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: int, related: Related) -> None:
+def _build_correction(
+    names: list[str], augmented: Augmented, out: Path, fmi: int, related: Related
+) -> None:
     program = correction_program(names, augmented.parameters).in_units(augmented.model.unit_in_fmu)
     content = program_files(program, fmi)
     write_archive(out, {**content, **related(content)})
@@ -245,7 +348,7 @@ def _made(make: Callable[[Path], None]) -> bytes:
         return out.read_bytes()
 
 
-# -- writing -----------------------------------------------------------------------------------------------------------
+# -- writing ---------------------------------------------------------------------------------------
 def write(
     diagnosis: Diagnosis,
     out: Path,
@@ -255,10 +358,12 @@ def write(
     made: Mapping[str, Any] | None = None,
     fill: bool = False,
 ) -> list[Path]:
-    """Write a diagnosis into the folder `out`: the files of `WRITTEN_FILES` that there are; older ones of these names go.
+    """Write a diagnosis into the folder `out`: the files of `WRITTEN_FILES` that there are; older
+    ones of these names go.
 
-    diagnosis.json and report.html always; augmented.toml and augmented.fmu if an effect was named (or none is missing:
-    then the model is the refitted one); correction.fmu if an effect can act through the input.
+    diagnosis.json and report.html always; augmented.toml and augmented.fmu if an effect was named
+    (or none is missing: then the model is the refitted one); correction.fmu if an effect can act
+    through the input.
 
     Parameters
     ----------
@@ -273,7 +378,8 @@ def write(
     made : mapping, optional
         Where it comes from, for the key `provenance` of diagnosis.json.
     fill : bool
-        Put the unexplained residual into the augmented model, as an unnamed torque, where one is offered.
+        Put the unexplained residual into the augmented model, as an unnamed torque, where one is
+        offered.
 
     Returns
     -------
@@ -283,12 +389,16 @@ def write(
     Raises
     ------
     IncompleteError
-        If `choose` is no member of a tie or an FMU cannot be made; all the rest is written, and the report says why.
+        If `choose` is no member of a tie or an FMU cannot be made; all the rest is written, and the
+        report says why.
     BristleError
         If the folder cannot be written; it is then as it was.
     """
     if not isinstance(diagnosis, Diagnosis):
-        raise BristleError(f"the diagnosis is a {type(diagnosis).__name__}; give what diagnose or diagnose_fmu returns")
+        raise BristleError(
+            f"the diagnosis is a {type(diagnosis).__name__}; give what diagnose or diagnose_fmu"
+            " returns"
+        )
     out = Path(out)
     check_writable(out)
     check_places(out)
@@ -300,6 +410,8 @@ def write(
 
 
 def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
-    """Raise `BristleError` if writing into `out` would take the place of an input, or of a folder."""
+    """Raise `BristleError` if writing into `out` would take the place of an input, or of a
+    folder.
+    """
     check_not_replaced(Path(out), WRITTEN_FILES, map(Path, inputs))
     check_no_folder(Path(out), WRITTEN_FILES)

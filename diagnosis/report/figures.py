@@ -1,4 +1,6 @@
-"""The figures of a diagnosis as SVG text: the gap, where before and after differ, and what each effect would gain."""
+"""The figures of a diagnosis as SVG text: the gap, where before and after differ, and what each
+effect would gain.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,13 @@ from bristle.common.drawing import (
 from bristle.common.time_plot import time_curve, time_level, time_panel, time_span
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.axes import shown
-from bristle.diagnosis.report.open_loop import horizon_figure, horizons_seen, open_loop_figure, whole_curves, worst
+from bristle.diagnosis.report.open_loop import (
+    horizon_figure,
+    horizons_seen,
+    open_loop_figure,
+    whole_curves,
+    worst,
+)
 from bristle.diagnosis.report.result import Diagnosis, Round, Trace, View
 from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
 from bristle.plant.wording import Wording
@@ -51,13 +59,25 @@ def view_axis(model: Model, view: str, period: float | None = None) -> tuple[flo
     first, angle, drive = view.split(" ")[0], "m" if model.linear else "rad", model.input_unit
     name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
     units = {
-        "angle": angle, "speed": f"{angle}/s", "acceleration": f"{angle}/s2", "input": drive,
-        "input rate": f"{drive}/s", "time": "s", "frequency": "Hz", "none": "1",
-    }  # fmt: skip
+        "angle": angle,
+        "speed": f"{angle}/s",
+        "acceleration": f"{angle}/s2",
+        "input": drive,
+        "input rate": f"{drive}/s",
+        "time": "s",
+        "frequency": "Hz",
+        "none": "1",
+    }
     factor, unit = shown(units[kind])
     if period is not None:
         turns = 0 if model.linear or kind != "angle" else round(2 * math.pi / period)
-        part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
+        part = (
+            f"1/{turns} of a turn"
+            if turns > 1
+            else "a turn"
+            if turns
+            else f"one period of {factor * period:.3g} {unit}"
+        )
         name = f"{name} within {part}"
     return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
 
@@ -93,7 +113,7 @@ def as_given(diagnosis: Diagnosis) -> bool:
     return bool(diagnosis.proposals) and not diagnosis.rounds
 
 
-# -- gap ---------------------------------------------------------------------------------------------------------------
+# -- gap -------------------------------------------------------------------------------------------
 def rms(square: float | None, output_unit: str) -> tuple[float, str]:
     """Return a mean square as (root, unit) on the scale of the figures; NaN where there is none."""
     factor, unit = shown(output_unit)
@@ -101,14 +121,24 @@ def rms(square: float | None, output_unit: str) -> tuple[float, str]:
 
 
 def drawn_floor(diagnosis: Diagnosis) -> float | None:
-    """Return the noise floor [output squared], None where it is not known: what is unexplained is partly taken for noise."""
+    """Return the noise floor [output squared], None where it is not known: what is unexplained is
+    partly taken for noise.
+    """
     return None if diagnosis.remains.flag else diagnosis.gap.noise_floor
 
 
 def _gap(diagnosis: Diagnosis) -> Any:
     gap, output_unit = diagnosis.gap, diagnosis.model.output_unit
-    first = "before" if improved(diagnosis) else "model as given" if as_given(diagnosis) else "refitted model"
-    rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
+    first = (
+        "before"
+        if improved(diagnosis)
+        else "model as given"
+        if as_given(diagnosis)
+        else "refitted model"
+    )
+    rows = [(first, gap.before, BEFORE)] + (
+        [("after", gap.after, AFTER)] if improved(diagnosis) else []
+    )
     values = [rms(square, output_unit)[0] for _, square, _ in rows]
     floor, unit = rms(drawn_floor(diagnosis), output_unit)
     if not all(map(math.isfinite, values)) or max(values) <= 0:
@@ -118,25 +148,34 @@ def _gap(diagnosis: Diagnosis) -> Any:
     right = 1.4 * max([*values, floor if math.isfinite(floor) else 0.0])
     for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
         ax.barh(row, value, color=colour, height=0.62)
-        both = f" ({math.sqrt(square):.3g} {output_unit})" if unit != output_unit else ""  # as the sentences have it
-        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
+        # as the sentences have it
+        both = f" ({math.sqrt(square):.3g} {output_unit})" if unit != output_unit else ""
+        ax.text(
+            value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK
+        )
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=LIMIT, alpha=0.16, linewidth=0, zorder=3)
         ax.axvline(floor, color=LIMIT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
-        ax.text(floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
+        ax.text(
+            floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5
+        )
     ax.set_xlim(0, right)
     ax.set_ylim(len(rows) - 0.55, -0.95)
     ax.set_yticks([])
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
-    set_labels(ax, x=f"rms error over {'all' if as_given(diagnosis) else 'held-out'} segments, {unit}")
+    set_labels(
+        ax, x=f"rms error over {'all' if as_given(diagnosis) else 'held-out'} segments, {unit}"
+    )
     figure.subplots_adjust(left=0.25 / figure.get_size_inches()[0])
     return figure
 
 
-# -- before and after ----------------------------------------------------------------------------------------------------
+# -- before and after ------------------------------------------------------------------------------
 def _mean_square(error: Array, count: int) -> Array:
-    """Return the mean square over `count` samples around each sample; NaN, where nothing was simulated, does not count."""
+    """Return the mean square over `count` samples around each sample; NaN, where nothing was
+    simulated, does not count.
+    """
     good = np.isfinite(error)
     window = np.ones(min(count, len(error)))
     weight = np.convolve(good, window, "same")
@@ -144,7 +183,9 @@ def _mean_square(error: Array, count: int) -> Array:
     return np.where(weight > 0.25 * len(window), total / np.maximum(weight, 1.0), np.nan)
 
 
-def worst_part(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tuple[Trace, slice] | None:
+def worst_part(
+    traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS
+) -> tuple[Trace, slice] | None:
     """Return the record and the part of it in which the error was largest before."""
     best: tuple[float, Trace, slice] | None = None
     for trace in traces:
@@ -173,7 +214,9 @@ def _overlay(diagnosis: Diagnosis) -> Any:
     _along(along, trace, part, model, both)
     factor, unit = shown(model.output_unit)
     time, measured = trace.time, factor * trace.measured
-    curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][: 2 if both else 1]
+    curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][
+        : 2 if both else 1
+    ]
     for ax in (top, low):
         time_panel(ax, trace.name, (float(time[part][0]), float(time[part][-1])))
         _shade(ax, time, trace.held_out)
@@ -201,7 +244,11 @@ def _along(ax: Any, trace: Trace, part: slice, model: Model, both: bool) -> None
     time_span(ax, float(trace.time[part][0]), float(trace.time[part][-1]), GREY, 0.22)
     ax.set_xlim(trace.time[0], trace.time[-1])
     ax.set_ylim(bottom=0)
-    set_title(ax, f"{trace.name}, rms error over {ERROR_SLICE:g} s along the record; grey: the part shown below")
+    set_title(
+        ax,
+        f"{trace.name}, rms error over {ERROR_SLICE:g} s along the record; grey: the part shown"
+        " below",
+    )
     set_labels(ax, y=f"rms, {unit}")
 
 
@@ -212,7 +259,7 @@ def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
         time_span(ax, float(time[first]), float(time[min(last, len(time) - 1)]), LIMIT, 0.07)
 
 
-# -- residual maps -------------------------------------------------------------------------------------------------------
+# -- residual maps ---------------------------------------------------------------------------------
 def drawn_views(views: Sequence[View]) -> list[View]:
     """Return the views that are drawn."""
     return [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
@@ -235,8 +282,12 @@ def _maps(views: Sequence[View], model: Model, both: bool) -> Any:
 
 
 def _thousands(values: Sequence[Array]) -> int:
-    """Return a power of ten that keeps the numbers beside an axis short: a power of a thousand, or 0 where they are anyhow."""
-    most = max((float(np.nanmax(np.abs(each))) for each in values if np.isfinite(each).any()), default=0.0)
+    """Return a power of ten that keeps the numbers beside an axis short: a power of a thousand, or
+    0 where they are anyhow.
+    """
+    most = max(
+        (float(np.nanmax(np.abs(each))) for each in values if np.isfinite(each).any()), default=0.0
+    )
     return 0 if most == 0 or 0.01 <= most < 1e4 else 3 * math.floor(math.log10(most) / 3)
 
 
@@ -246,19 +297,38 @@ def _map(ax: Any, view: View, model: Model, both: bool, scale: float) -> None:
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
         name = f" {view.lines[row]}" if row < len(view.lines) else ""
-        ax.plot(x, scale * before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
+        ax.plot(
+            x,
+            scale * before,
+            color=BEFORE,
+            linestyle=style,
+            label=f"{'before' if both else 'residual'}{name}",
+        )
         if both and view.after.size:
-            ax.plot(x, scale * np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")
+            ax.plot(
+                x,
+                scale * np.atleast_2d(view.after)[row],
+                color=AFTER,
+                linestyle=style,
+                label=f"after{name}",
+            )
     ax.axhline(0, color=INK, linewidth=0.7)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
-    ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
+    ax.legend(
+        loc="upper left",
+        ncols=2,
+        fontsize=8,
+        handlelength=1.8,
+        columnspacing=1.0,
+        borderaxespad=0.2,
+    )
     share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if both else "")
     set_title(ax, f"{view_name(view.view, view.label)}\n{share} of the residual")
     set_labels(ax, x=label)
 
 
-# -- unnamed torque ------------------------------------------------------------------------------------------------------
+# -- unnamed torque --------------------------------------------------------------------------------
 def _unnamed(diagnosis: Diagnosis) -> Any:
     """Draw the unexplained residual as functions of one variable each, with their bands."""
     if diagnosis.unnamed is None or not diagnosis.unnamed.curves:
@@ -289,7 +359,7 @@ def _unnamed(diagnosis: Diagnosis) -> Any:
     return figure
 
 
-# -- candidates ----------------------------------------------------------------------------------------------------------
+# -- candidates ------------------------------------------------------------------------------------
 def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
     if not rounds:
@@ -299,7 +369,9 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     bars = max(min(DRAWN_BARS, len(r.candidates)) for r in rounds)
     figure = new_figure(11.0, rows * (0.26 * bars + 0.95))
     axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    figure.subplots_adjust(left=NAME_WIDTH, wspace=NAME_WIDTH * columns / (1.0 - columns * NAME_WIDTH), hspace=0.5)
+    figure.subplots_adjust(
+        left=NAME_WIDTH, wspace=NAME_WIDTH * columns / (1.0 - columns * NAME_WIDTH), hspace=0.5
+    )
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
         _bars(ax, each, _tied(diagnosis, each, number == len(rounds)), wording)
         more = len(each.candidates) - DRAWN_BARS
@@ -312,10 +384,17 @@ def _candidates(diagnosis: Diagnosis) -> Any:
 
 
 def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
-    """Return what tied in a round: with what was added or, in the last one, without anything added."""
+    """Return what tied in a round: with what was added or, in the last one, without anything
+    added.
+    """
     added = {effect.name for effect in diagnosis.effects}
     open_ = last and each.added is None
-    return {name for tie in diagnosis.ties for name in tie if each.added in tie or (open_ and not added & set(tie))}
+    return {
+        name
+        for tie in diagnosis.ties
+        for name in tie
+        if each.added in tie or (open_ and not added & set(tie))
+    }
 
 
 def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
@@ -325,47 +404,78 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     right = 1.35 * max(best, each.null_level, 1e-9)
     for row, candidate in enumerate(drawn):
         ax.barh(row, candidate.level, color=LIMIT, alpha=0.16, height=0.98, linewidth=0)
-        ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=LIMIT, linewidth=1.0, linestyle=(0, (4, 3)))
+        ax.plot(
+            [candidate.level] * 2,
+            [row - 0.49, row + 0.49],
+            color=LIMIT,
+            linewidth=1.0,
+            linestyle=(0, (4, 3)),
+        )
         tried = math.isfinite(candidate.gain)
         gain = max(candidate.gain, 0.0) if tried else 0.0
-        colour = AFTER if candidate.name == each.added else BEFORE if candidate.name in tied else PALE
+        colour = (
+            AFTER if candidate.name == each.added else BEFORE if candidate.name in tied else PALE
+        )
         ax.barh(row, gain, color=colour, height=0.62)
         gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
-        note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
-        ax.text(gain + 0.012 * right, row, f"{gained}{note}", va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
+        note = (
+            f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})"
+            if candidate.note
+            else ""
+        )
+        ax.text(
+            gain + 0.012 * right,
+            row,
+            f"{gained}{note}",
+            va="center",
+            fontsize=8,
+            color=INK,
+            clip_on=True,
+            bbox=LABEL,
+        )
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
-    ax.set_yticks(range(len(drawn)), [effect_name(candidate.name, wording) for candidate in drawn], fontsize=8)
+    ax.set_yticks(
+        range(len(drawn)), [effect_name(candidate.name, wording) for candidate in drawn], fontsize=8
+    )
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
     set_labels(ax, x="gain, nats")
 
 
-# -- whole records -------------------------------------------------------------------------------------------------------
+# -- whole records ---------------------------------------------------------------------------------
 def _open_loop(diagnosis: Diagnosis) -> Any:
     if diagnosis.whole is None:
         return None
     whole = diagnosis.whole
     return open_loop_figure(
-        whole.traces[worst(whole)], whole_curves(whole, improved(diagnosis)), (diagnosis.model.output_kind, whole.records[0].unit)
+        whole.traces[worst(whole)],
+        whole_curves(whole, improved(diagnosis)),
+        (diagnosis.model.output_kind, whole.records[0].unit),
     )
 
 
 def _horizons(diagnosis: Diagnosis) -> Any:
     if diagnosis.whole is None:
         return None
-    return horizon_figure(whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit)
+    return horizon_figure(
+        whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit
+    )
 
 
-# -- in words ------------------------------------------------------------------------------------------------------------
+# -- in words --------------------------------------------------------------------------------------
 def _gap_seen(diagnosis: Diagnosis) -> str:
     output_unit = diagnosis.model.output_unit
-    rows: list[tuple[str, float | None]] = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
+    rows: list[tuple[str, float | None]] = [
+        ("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)
+    ]
     rows += [("after", diagnosis.gap.after)] if improved(diagnosis) else []
     rows += [("noise floor", drawn_floor(diagnosis))]
     found = [(name, *rms(square, output_unit)) for name, square in rows]
-    return ", ".join(f"{name} {value:.3g} {unit}" for name, value, unit in found if math.isfinite(value))
+    return ", ".join(
+        f"{name} {value:.3g} {unit}" for name, value, unit in found if math.isfinite(value)
+    )
 
 
 def _overlay_seen(diagnosis: Diagnosis) -> str:
@@ -374,9 +484,17 @@ def _overlay_seen(diagnosis: Diagnosis) -> str:
     trace, part = found
     ends = f"{trace.name} from {trace.time[part][0]:.4g} to {trace.time[part][-1]:.4g} s: "
     words = []
-    for name, values in (("before", trace.before), ("after", trace.after))[: 2 if improved(diagnosis) else 1]:
-        value, unit = rms(float(np.nanmean((values - trace.measured)[part] ** 2)), diagnosis.model.output_unit)
-        words.append(f"rms error {name} {value:.3g} {unit}" if improved(diagnosis) else f"rms error {value:.3g} {unit}")
+    for name, values in (("before", trace.before), ("after", trace.after))[
+        : 2 if improved(diagnosis) else 1
+    ]:
+        value, unit = rms(
+            float(np.nanmean((values - trace.measured)[part] ** 2)), diagnosis.model.output_unit
+        )
+        words.append(
+            f"rms error {name} {value:.3g} {unit}"
+            if improved(diagnosis)
+            else f"rms error {value:.3g} {unit}"
+        )
     return ends + ", ".join(words)
 
 
@@ -384,7 +502,10 @@ def _maps_seen(diagnosis: Diagnosis) -> str:
     words = []
     for view in drawn_views(diagnosis.where):
         after = f" before and {100 * view.share_after:.0f} % after" if improved(diagnosis) else ""
-        words.append(f"{view_name(view.view, view.label)} predicts {100 * view.share:.0f} % of the residual{after}")
+        words.append(
+            f"{view_name(view.view, view.label)} predicts {100 * view.share:.0f} % of the"
+            f" residual{after}"
+        )
     return "; ".join(words)
 
 
@@ -394,7 +515,10 @@ def _unnamed_seen(diagnosis: Diagnosis) -> str:
     words = []
     for curve in diagnosis.unnamed.curves:
         low, high = float(np.min(curve.values)), float(np.max(curve.values))
-        words.append(f"from {low:.3g} to {high:.3g} {torque} over the {view_axis(diagnosis.model, curve.variable)[1]}")
+        words.append(
+            f"from {low:.3g} to {high:.3g} {torque} over the"
+            f" {view_axis(diagnosis.model, curve.variable)[1]}"
+        )
     return f"unnamed {diagnosis.model.wording.torque} " + "; ".join(words)
 
 
@@ -405,7 +529,10 @@ def _candidates_seen(diagnosis: Diagnosis) -> str:
         if tried:
             best = max(tried, key=lambda c: c.gain)
             name = effect_name(best.name, diagnosis.model.wording)
-            words.append(f"round {place}: {name} gains most, {best.gain:.3g} nats; chance gives up to {best.level:.3g}")
+            words.append(
+                f"round {place}: {name} gains most, {best.gain:.3g} nats; chance gives up to"
+                f" {best.level:.3g}"
+            )
     return "; ".join(words)
 
 
@@ -416,19 +543,29 @@ def _open_loop_seen(diagnosis: Diagnosis) -> str:
     rows.append(("after" if improved(diagnosis) else "", found.rms_after, found.fit_after))
     factor, unit = shown(found.unit)
     known = [row for row in rows if math.isfinite(row[1])]
-    words = [f"rms error {factor * each:.3g} {unit}, FIT {fit:.4g} % {name}".strip() for name, each, fit in known]
+    words = [
+        f"rms error {factor * each:.3g} {unit}, FIT {fit:.4g} % {name}".strip()
+        for name, each, fit in known
+    ]
     return f"{found.record} in open loop: " + (", ".join(words) or "the simulation fails")
 
 
 def _horizons_seen(diagnosis: Diagnosis) -> str:
     assert diagnosis.whole is not None
-    return horizons_seen(whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit)
+    return horizons_seen(
+        whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit
+    )
 
 
 _SEEN: dict[str, Callable[[Diagnosis], str]] = {
-    "gap": _gap_seen, "overlay": _overlay_seen, "maps": _maps_seen, "unnamed": _unnamed_seen, "candidates": _candidates_seen,
-    "open_loop": _open_loop_seen, "horizons": _horizons_seen,
-}  # fmt: skip
+    "gap": _gap_seen,
+    "overlay": _overlay_seen,
+    "maps": _maps_seen,
+    "unnamed": _unnamed_seen,
+    "candidates": _candidates_seen,
+    "open_loop": _open_loop_seen,
+    "horizons": _horizons_seen,
+}
 
 
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
@@ -436,49 +573,75 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     both, torque = improved(diagnosis), diagnosis.model.wording.torque
     floor = " Green band: the noise floor, what disturbance and sensor noise alone account for."
     band = floor if drawn_floor(diagnosis) is not None else ""
-    before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
+    before = (
+        " Before: the model refitted without the effect."
+        if both
+        else " The model is refitted, without any effect."
+    )
     colours = ", before (orange) and after (blue)" if both else ""
     segments = "held-out segments, which took no part in the search"
     if as_given(diagnosis):
-        segments = "all segments, of the model as it was given: nothing was fitted and no effect was tried"
+        segments = (
+            "all segments, of the model as it was given: nothing was fitted and no effect was tried"
+        )
     usual = refitted = ""
     if diagnosis.whole is not None and diagnosis.whole.refitted:
-        usual = " The parameters are those that the segments gave, before the refit to whole records."
+        usual = (
+            " The parameters are those that the segments gave, before the refit to whole records."
+        )
         refitted = f", parameters refitted to horizons of up to {diagnosis.whole.refitted_to:.3g} s"
     return {
-        "gap": ("Error of the model", f"Root of the mean squared error of the output over {segments}.{band}{usual}"),
+        "gap": (
+            "Error of the model",
+            f"Root of the mean squared error of the output over {segments}.{band}{usual}",
+        ),
         "overlay": (
             "Before and after" if both else "Measured and simulated",
-            f"Each segment starts from its own fitted position and velocity.{before} "
-            f"Shaded green: held-out segments, used neither for the search nor for these fits.{usual}",
+            (
+                f"Each segment starts from its own fitted position and velocity.{before} Shaded"
+                f" green: held-out segments, used neither for the search nor for these fits.{usual}"
+            ),
         ),
         "maps": (
             "Where the residual is",
-            f"Residual {torque} over the variable that predicts it: averaged in bins or, where it is periodic, fitted over one "
-            f"period{colours}; solid: forward, dashed: backward, where there are two lines. "
-            "The share is how much of the residual's power the variable predicts in segments left out of its fit; p: "
-            "probability of as much by chance.",
+            (
+                f"Residual {torque} over the variable that predicts it: averaged in bins or, where"
+                f" it is periodic, fitted over one period{colours}; solid: forward, dashed:"
+                " backward, where there are two lines. The share is how much of the residual's"
+                " power the variable predicts in segments left out of its fit; p: probability of"
+                " as much by chance."
+            ),
         ),
         "unnamed": (
             f"Unnamed {torque}",
-            f"What is left unexplained, as a {torque} that is a smooth function of one variable (or a sum of two), with its 95 % "
-            "band. Fitted to the segments that are not held out; it says nothing about a cause, and holds only in the range drawn.",
+            (
+                f"What is left unexplained, as a {torque} that is a smooth function of one variable"
+                " (or a sum of two), with its 95 % band. Fitted to the segments that are not held"
+                " out; it says nothing about a cause, and holds only in the range drawn."
+            ),
         ),
         "candidates": (
             "Gain of each candidate effect",
-            f"Rise of the log-likelihood when the effect is added and all parameters are refitted, in nats ({NATS}). Shaded up "
-            "to the dashed line: gains that chance may give where no effect is missing. "
-            "Blue: added; orange: tied; pale: neither.",
+            (
+                "Rise of the log-likelihood when the effect is added and all parameters are"
+                f" refitted, in nats ({NATS}). Shaded up to the dashed line: gains that chance may"
+                " give where no effect is missing. Blue: added; orange: tied; pale: neither."
+            ),
         ),
         "open_loop": (
             "Whole records in open loop",
-            f"The record that the model follows worst, simulated from its start to its end with nothing but the input{refitted}. "
-            "Only the position and the velocity at the start are fitted. FIT: 100 % less the rms error in per cent of the rms "
-            "deviation of the output from its mean.",
+            (
+                "The record that the model follows worst, simulated from its start to its end with"
+                f" nothing but the input{refitted}. Only the position and the velocity at the start"
+                " are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of"
+                " the output from its mean."
+            ),
         ),
         "horizons": (
             "Error against horizon",
-            "The rms error over all records, simulated anew, with a fitted start, after so many seconds; the last point is that of "
-            "whole records.",
+            (
+                "The rms error over all records, simulated anew, with a fitted start, after so many"
+                " seconds; the last point is that of whole records."
+            ),
         ),
     }

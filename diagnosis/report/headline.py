@@ -7,7 +7,12 @@ from bristle.diagnosis.report.result import Diagnosis
 from bristle.diagnosis.report.text import listed, titles_listed
 
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
-VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
+VERDICTS = {
+    "named": "named",
+    "tie": "tie",
+    "none": "none named",
+    "not_identifiable": "not identifiable",
+}
 NOT_ENOUGH = "Best of what I know, not enough"
 
 
@@ -17,8 +22,16 @@ def headline(diagnosis: Diagnosis) -> str:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     if not _not_enough(diagnosis):
         return _found(diagnosis)
-    if diagnosis.verdict == "none" and diagnosis.agreement is not None and diagnosis.records_disagree:
-        return f"{NOT_ENOUGH}: {'halves of the record' if diagnosis.agreement.of_halves else 'the records'} do not agree"
+    if (
+        diagnosis.verdict == "none"
+        and diagnosis.agreement is not None
+        and diagnosis.records_disagree
+    ):
+        return (
+            f"{NOT_ENOUGH}:"
+            f" {'halves of the record' if diagnosis.agreement.of_halves else 'the records'} do not"
+            " agree"
+        )
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
     if diagnosis.verdict == "named":
@@ -28,28 +41,41 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def mark(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return kind and text of the badge beside it: good only where effects are named and that is enough."""
+    """Return kind and text of the badge beside it: good only where effects are named and that is
+    enough.
+    """
     if diagnosis.proposals:
         return "bad", "data" if as_given(diagnosis) else "bounds"
-    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict]
+    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICTS[
+        diagnosis.verdict
+    ]
 
 
 def _not_enough(diagnosis: Diagnosis) -> bool:
     """Whether much is unexplained, or what was found is in doubt.
 
-    That is where whole records are farther from the model with the named effects than without, where the strength of one of these
-    is not known, and where the records do not agree on the parameters.
+    That is where whole records are farther from the model with the named effects than without,
+    where the strength of one of these is not known, and where the records do not agree on the
+    parameters.
     """
     whole = diagnosis.whole
     worse = bool(diagnosis.effects) and whole is not None and whole.worse
-    return diagnosis.remains.flag or worse or diagnosis.records_disagree or not all(e.known for e in diagnosis.effects)
+    return (
+        diagnosis.remains.flag
+        or worse
+        or diagnosis.records_disagree
+        or not all(e.known for e in diagnosis.effects)
+    )
 
 
 def _lacking(diagnosis: Diagnosis) -> str:
     """Return the named effects, each with those it cannot be distinguished from."""
     ties = {name: tie for tie in diagnosis.ties for name in tie}
     wording = diagnosis.model.wording
-    return listed([titles_listed(ties.get(e.name, (e.name,)), "or", wording) for e in diagnosis.effects], "and")
+    return listed(
+        [titles_listed(ties.get(e.name, (e.name,)), "or", wording) for e in diagnosis.effects],
+        "and",
+    )
 
 
 def _found(diagnosis: Diagnosis) -> str:
@@ -59,4 +85,8 @@ def _found(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "tie":
         sets = "; ".join(titles_listed(tie, "or", wording) for tie in diagnosis.ties)
         return f"The model lacks one of: {sets}; the records fit each equally well"
-    return "No effect is missing" if diagnosis.verdict == "none" else "These records cannot identify what is missing"
+    return (
+        "No effect is missing"
+        if diagnosis.verdict == "none"
+        else "These records cannot identify what is missing"
+    )

@@ -1,4 +1,6 @@
-"""report.html of a diagnosis: one self-contained file for the engineer at the rig, the answer first."""
+"""report.html of a diagnosis: one self-contained file for the engineer at the rig, the answer
+first.
+"""
 
 from __future__ import annotations
 
@@ -32,29 +34,40 @@ from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
 EXCITATION = {  # key of the excitation -> words; the others read as they are
-    "input_range": "input", "input_between_samples": "input between samples",
+    "input_range": "input",
+    "input_between_samples": "input between samples",
     "speed_dominant_tone_share": "share of the strongest tone in the speed",
     "inertia_share": "mean torque of the inertia over that of the input",
-    "input_bandwidth": "bandwidth of the input", "speed_range": "speed",
-    "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
-    "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
-    "backward_share": "time backward", "torque_range": "torque of the drive",
-}  # fmt: skip
+    "input_bandwidth": "bandwidth of the input",
+    "speed_range": "speed",
+    "range_travelled": "range of positions",
+    "path_travelled": "path",
+    "turns_travelled": "turns spanned",
+    "rest_share": "time at rest",
+    "slow_share": "time in slow motion",
+    "forward_share": "time forward",
+    "backward_share": "time backward",
+    "torque_range": "torque of the drive",
+}
 
 
 def interval(value: float, low: float, high: float) -> str:
-    """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with both ends if lopsided."""
+    """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with
+    both ends if lopsided.
+    """
     found = rounded(value, low, high)
     if found is None:
         return number(value)
     texts, power = found
     mid, below, above, spread = (text.replace("-", "−") for text in texts)
     lopsided = abs(high + low - 2 * value) > 0.1 * (high - low)
-    text = f'{mid} <span class="sub">[{below} … {above}]</span>' if lopsided else f"{mid} ± {spread}"
+    text = (
+        f'{mid} <span class="sub">[{below} … {above}]</span>' if lopsided else f"{mid} ± {spread}"
+    )
     return text if power == 0 else f"({text})·10<sup>{power}</sup>".replace("-", "−")
 
 
-# -- tables ------------------------------------------------------------------------------------------------------------
+# -- tables ----------------------------------------------------------------------------------------
 class _Writer:
     """Writes effects and estimates in the words of an axis."""
 
@@ -77,14 +90,24 @@ class _Writer:
         rows = []
         for effect in effects:
             known = self.known[effect.name]
-            meaning = "" if known.description == known.title else f'<div class="sub">{escape(known.description)}</div>'
+            meaning = (
+                ""
+                if known.description == known.title
+                else f'<div class="sub">{escape(known.description)}</div>'
+            )
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
             first = f'{self.name(effect.name)}{meaning}<div class="sub">{facts}</div>'
             rows += self.parameters(effect.name, first, effect.parameters)
         text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
-        return (f'<p class="sub">Gains in nats ({NATS}); p: probability of as much by chance.</p>' if rows else "") + text
+        return (
+            f'<p class="sub">Gains in nats ({NATS}); p: probability of as much by chance.</p>'
+            if rows
+            else ""
+        ) + text
 
-    def parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
+    def parameters(
+        self, name: str, first: str, parameters: Mapping[str, Estimate]
+    ) -> list[tuple[str, ...]]:
         meanings = {p.name: p.description for p in self.known[name].parameters}
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
@@ -98,21 +121,30 @@ class _Writer:
         nominal = diagnosis.model.values
         columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
-            columns["with " + listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
+            columns["with " + listed([e.name for e in diagnosis.effects], "and")] = (
+                diagnosis.parameters
+            )
         if diagnosis.whole is not None and diagnosis.whole.refitted:
-            columns["of the segments, before the refit to whole records"] = diagnosis.whole.segment_parameters
+            columns["of the segments, before the refit to whole records"] = (
+                diagnosis.whole.segment_parameters
+            )
         for name, found in diagnosis.choice_parameters.items():
             columns[f"with {name}" + (" (chosen)" if name == choose else "")] = found
         units = {name: diagnosis.model.unit(name) for name in nominal}
         units |= {name: e.unit for column in columns.values() for name, e in column.items()}
         rows = []
         for name in dict.fromkeys([*nominal, *units]):
-            fitted = [self.estimate(column[name]) if name in column else "not fitted" for column in columns.values()]
-            rows.append((escape(name), unit(units[name]) or "–", number(nominal.get(name)), *fitted))
+            fitted = [
+                self.estimate(column[name]) if name in column else "not fitted"
+                for column in columns.values()
+            ]
+            rows.append(
+                (escape(name), unit(units[name]) or "–", number(nominal.get(name)), *fitted)
+            )
         return table(("parameter", "unit", "nominal", *map(escape, columns)), rows, (2,))
 
 
-# -- sections ----------------------------------------------------------------------------------------------------------
+# -- sections --------------------------------------------------------------------------------------
 def _section(title: str, body: str) -> str:
     return f"<h2>{escape(title)}</h2>{body}" if body else ""
 
@@ -125,7 +157,10 @@ def _items(lines: Iterable[str]) -> str:
 def _proposals(diagnosis: Diagnosis) -> str:
     if not diagnosis.proposals:
         return ""
-    return f'<div class="alarm"><b>Correct this first, then diagnose again:</b>{_items(diagnosis.proposals)}</div>'
+    return (
+        '<div class="alarm"><b>Correct this first, then diagnose'
+        f" again:</b>{_items(diagnosis.proposals)}</div>"
+    )
 
 
 def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
@@ -134,12 +169,19 @@ def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
     sets = [escape(effects_listed(tie, "or", writer.wording)) for tie in diagnosis.ties]
     parts = [f"<p>Any one of these explains the records equally well: {each}.</p>" for each in sets]
     if diagnosis.choices:
-        rows = [row for name, found in diagnosis.choices.items() for row in writer.parameters(name, writer.name(name), found)]
+        rows = [
+            row
+            for name, found in diagnosis.choices.items()
+            for row in writer.parameters(name, writer.name(name), found)
+        ]
         parts.append(table(("with", "parameter", "value, 95 % interval", "unit"), rows))
     if choose is not None:
         parts.append(f"<p>Chosen by hand for the augmented model: {writer.name(choose)}.</p>")
     elif diagnosis.verdict == "tie":
-        parts.append("<p>No augmented model was written: choose one of them with <code>--choose NAME</code> to get it.</p>")
+        parts.append(
+            "<p>No augmented model was written: choose one of them with <code>--choose NAME</code>"
+            " to get it.</p>"
+        )
     return "".join(parts)
 
 
@@ -152,13 +194,26 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     # an unexplained residual is partly taken for noise
     most, least = ("at most ", "at least ") if diagnosis.remains.predictable else ("", "")
     if gap.shrink is not None and improved(diagnosis):
-        closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.predictable
+        closed = (
+            gap.noise_floor is not None
+            and gap.after <= gap.noise_floor
+            and not diagnosis.remains.predictable
+        )
         rest = ", down to what disturbance and sensor noise alone account for" if closed else ""
-        facts.append(f"The mean squared error above the noise floor shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
+        facts.append(
+            "The mean squared error above the noise floor shrank by"
+            f" {most}<b>{100 * gap.shrink:.1f} %</b>{rest}."
+        )
     if gap.ratio is None:
-        facts.append("The noise floor, which disturbance and sensor noise alone would leave, is not known.")
+        facts.append(
+            "The noise floor, which disturbance and sensor noise alone would leave, is not known."
+        )
     elif improved(diagnosis) or gap.ratio > 1:
-        begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
+        begin = (
+            "Before, the mean squared error was"
+            if improved(diagnosis)
+            else "The mean squared error is"
+        )
         facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
     elif not diagnosis.remains.flag:
         facts.append("The error is no larger than disturbance and sensor noise alone account for.")
@@ -178,13 +233,26 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         return f'<p class="alarm">{escape(unexplained_line(left, diagnosis.model.wording, open_tie))}</p>'
     certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
     if not certain:
-        return "<p>Nothing that matters: no motion variable predicts more of the residual than chance does.</p>"
+        return (
+            "<p>Nothing that matters: no motion variable predicts more of the residual than chance"
+            " does.</p>"
+        )
     most = max(certain, key=lambda v: v.share_after)
-    said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
+    said = (
+        f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the"
+        " residual that is left, "
+    )
     said += "every other motion variable less, or no more than chance does"
     if most.view in SENSOR_VIEWS:
-        said += "; in a closed loop it holds noise of the sensor, so that it is not reported as unexplained"
-    small = "Nothing that matters" if most.share_after < MIN_SHARE else "Small beside what was explained, but more than chance"
+        said += (
+            "; in a closed loop it holds noise of the sensor, so that it is not reported as"
+            " unexplained"
+        )
+    small = (
+        "Nothing that matters"
+        if most.share_after < MIN_SHARE
+        else "Small beside what was explained, but more than chance"
+    )
     return f"<p>{small}: {said}.</p>"
 
 
@@ -199,9 +267,23 @@ def _views(diagnosis: Diagnosis) -> str:
     rows = []
     for v in sorted(diagnosis.where, key=lambda v: (v.p > LISTED_VIEW_P, -v.share)):
         name = escape(view_name(v.view, v.label))
-        rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
+        rows.append(
+            (
+                name,
+                f"{100 * v.share:.0f} %",
+                number(v.p, 2),
+                f"{100 * v.share_after:.0f} %",
+                number(v.p_after, 2),
+            )
+        )
     kept = 5 if improved(diagnosis) else 3
-    head = ("predicted from, or found in", "share before" if kept == 5 else "share", "p", "share after", "p")
+    head = (
+        "predicted from, or found in",
+        "share before" if kept == 5 else "share",
+        "p",
+        "share after",
+        "p",
+    )
     return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""
 
 
@@ -216,39 +298,75 @@ def _value(value: Any) -> str:
 def _fact(key: str, value: Any) -> tuple[str, str]:
     """Return a line of the excitation table; shares are written in per cent."""
     share = key.endswith("_share") and isinstance(value, float)
-    return escape(EXCITATION.get(key, key.replace("_", " "))), f"{100 * value:.0f} %" if share else _value(value)
+    return escape(EXCITATION.get(key, key.replace("_", " "))), (
+        f"{100 * value:.0f} %" if share else _value(value)
+    )
 
 
 def _excitation(diagnosis: Diagnosis) -> str:
-    rows = [_fact(key, value) for key, value in diagnosis.excitation.items() if key != "caveats" and value != ""]
+    rows = [
+        _fact(key, value)
+        for key, value in diagnosis.excitation.items()
+        if key != "caveats" and value != ""
+    ]
     said = _items(diagnosis.excitation.get("caveats", ()))
     return (table(("of the records", ""), rows) if rows else "") + said
 
 
 def _undetected(diagnosis: Diagnosis) -> str:
     wording = diagnosis.model.wording
-    rows = [(escape(effect_name(name, wording)), escape(text)) for name, text in diagnosis.undetected.items()]
+    rows = [
+        (escape(effect_name(name, wording)), escape(text))
+        for name, text in diagnosis.undetected.items()
+    ]
     return table(("effect", "what would have been detected"), rows) if rows else ""
 
 
 def _rounds(diagnosis: Diagnosis) -> str:
     rows = []
     for k, each in enumerate(diagnosis.rounds, start=1):
-        best = max((c for c in each.candidates if math.isfinite(c.gain)), key=lambda c: c.gain, default=None)
-        rows.append(
-            (str(k), _best(best, diagnosis.model.wording), number(each.null_level, 3), number(each.p, 2), escape(each.decision))
+        best = max(
+            (c for c in each.candidates if math.isfinite(c.gain)),
+            key=lambda c: c.gain,
+            default=None,
         )
-    return table(("round", "best candidate", "gain that chance may give, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
+        rows.append(
+            (
+                str(k),
+                _best(best, diagnosis.model.wording),
+                number(each.null_level, 3),
+                number(each.p, 2),
+                escape(each.decision),
+            )
+        )
+    return (
+        table(
+            ("round", "best candidate", "gain that chance may give, nats", "p ≤", "decision"),
+            rows,
+            (2, 3),
+        )
+        if rows
+        else ""
+    )
 
 
 def _best(candidate: Candidate | None, wording: Wording) -> str:
     if candidate is None:
         return "–"
-    return f'{escape(effect_name(candidate.name, wording))}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
+    return (
+        f'{escape(effect_name(candidate.name, wording))}<div class="sub">gain'
+        f" {number(candidate.gain, 3)} nats</div>"
+    )
 
 
 def _files(files: Mapping[str, str]) -> str:
-    return table(("file", ""), [(f'<a href="{quote(name)}">{escape(name)}</a>', escape(text)) for name, text in files.items()])
+    return table(
+        ("file", ""),
+        [
+            (f'<a href="{quote(name)}">{escape(name)}</a>', escape(text))
+            for name, text in files.items()
+        ],
+    )
 
 
 def _records(diagnosis: Diagnosis) -> str:
@@ -259,40 +377,62 @@ def _records(diagnosis: Diagnosis) -> str:
 
 
 def render(
-    diagnosis: Diagnosis, figures: Mapping[str, str], files: Mapping[str, str], notes: Sequence[str] = (), choose: str | None = None
+    diagnosis: Diagnosis,
+    figures: Mapping[str, str],
+    files: Mapping[str, str],
+    notes: Sequence[str] = (),
+    choose: str | None = None,
 ) -> str:
     """Return the page.
 
-    `figures` holds SVG text by name, from `figures.draw`; `files` what was written, name and meaning; `notes` what could not be
-    written, and why; `choose` is a member of a tie that was chosen by hand.
+    `figures` holds SVG text by name, from `figures.draw`; `files` what was written, name and
+    meaning; `notes` what could not be written, and why; `choose` is a member of a tie that was
+    chosen by hand.
     """
     writer = _Writer(diagnosis.model.wording)
     words = captions(diagnosis)
     drawn = {name: figure(words[name][0], text, words[name][1]) for name, text in figures.items()}
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
-    alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
-    following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
+    alarms = _proposals(diagnosis) + "".join(
+        f'<p class="alarm">{escape(note)}</p>' for note in notes
+    )
+    following = _section(
+        "What to measure next",
+        f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "",
+    )
     others = [name for name in files if name != "report.html"]
     data = beside(others) if others else ""
     settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
     parts = [
-        f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p>'
-        f"<h1>{escape(headline(diagnosis))} {badge(*mark(diagnosis))}</h1>{lead}"
-        f'<p class="sub">the diagnosis took {diagnosis.seconds:.0f} s</p>{data}</header>{alarms}',
+        (
+            '<header><p class="name">diagnosis of'
+            f" {escape(_records(diagnosis))}</p><h1>{escape(headline(diagnosis))}"
+            f' {badge(*mark(diagnosis))}</h1>{lead}<p class="sub">the diagnosis took'
+            f" {diagnosis.seconds:.0f} s</p>{data}</header>{alarms}"
+        ),
         _section("What is missing", writer.effects(diagnosis.effects)),
         _section("What fits equally well", _tie(diagnosis, writer, choose)),
         "" if settled else following,
         _section(words["gap"][0], _gap_facts(diagnosis) + drawn.get("gap", "")),
-        _section(words["open_loop"][0], _whole(diagnosis) + drawn.get("open_loop", "") + drawn.get("horizons", "")),
+        _section(
+            words["open_loop"][0],
+            _whole(diagnosis) + drawn.get("open_loop", "") + drawn.get("horizons", ""),
+        ),
         _section(words["overlay"][0], drawn.get("overlay", "")),
         _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
         _section(words["candidates"][0], drawn.get("candidates", "")),
-        _section("Unexplained residual", _unexplained(diagnosis) + _unnamed(diagnosis) + drawn.get("unnamed", "")),
+        _section(
+            "Unexplained residual",
+            _unexplained(diagnosis) + _unnamed(diagnosis) + drawn.get("unnamed", ""),
+        ),
         following if settled else "",
         _section("What the records excite", _excitation(diagnosis)),
         _section("Findings", _items(diagnosis.findings)),
         _section("The model's own parameters", writer.base(diagnosis, choose)),
-        _section("Effects that were not found, and what size would have been detected", _undetected(diagnosis)),
+        _section(
+            "Effects that were not found, and what size would have been detected",
+            _undetected(diagnosis),
+        ),
         _section("The search", _rounds(diagnosis)),
         _section("Files", _files(files)),
     ]

@@ -1,4 +1,6 @@
-"""Whole records in open loop: measured and simulated, the error, and how it grows with the horizon; as a figure and as a table."""
+"""Whole records in open loop: measured and simulated, the error, and how it grows with the horizon;
+as a figure and as a table.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import BASELINE, ESTIMATE, INK, MEASURED, OTHER, new_figure, set_labels, set_title
+from bristle.common.drawing import (
+    BASELINE,
+    ESTIMATE,
+    INK,
+    MEASURED,
+    OTHER,
+    new_figure,
+    set_labels,
+    set_title,
+)
 from bristle.common.html import number, table, unit
 from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.diagnosis.report.axes import shown
@@ -22,7 +33,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Curve:
-    """A model in the figure: its output along the record that is drawn (or None), and (horizon [s], rms error) of all records."""
+    """A model in the figure: its output along the record that is drawn (or None), and (horizon [s],
+    rms error) of all records.
+    """
 
     label: str
     colour: str
@@ -43,8 +56,22 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
     time_curve(top, trace.time, factor * trace.measured, MEASURED, "measured", linewidth=2.6)
     for curve in curves:
         if curve.simulated is not None:
-            time_curve(top, trace.time, factor * curve.simulated, curve.colour, curve.label, linestyle=curve.style)
-            time_curve(low, trace.time, factor * (curve.simulated - trace.measured), curve.colour, curve.label, linewidth=1.0)
+            time_curve(
+                top,
+                trace.time,
+                factor * curve.simulated,
+                curve.colour,
+                curve.label,
+                linestyle=curve.style,
+            )
+            time_curve(
+                low,
+                trace.time,
+                factor * (curve.simulated - trace.measured),
+                curve.colour,
+                curve.label,
+                linewidth=1.0,
+            )
     time_level(low, 0.0, INK, linewidth=0.7)
     for ax in (top, low):
         ax.set_xlim(trace.time[0], trace.time[-1])
@@ -56,18 +83,29 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
 
 
 def horizon_figure(curves: Sequence[Curve], si: str) -> Any:
-    """Return the figure of the error against the horizon, in the SI unit `si` of the output; None if there is no error."""
+    """Return the figure of the error against the horizon, in the SI unit `si` of the output; None
+    if there is no error.
+    """
     from matplotlib.ticker import LogLocator, NullLocator
 
     factor, name = shown(si)
-    found = [(curve, [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0]) for curve in curves]
+    found = [
+        (curve, [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0])
+        for curve in curves
+    ]
     if not any(points for _, points in found):
         return None
     figure = new_figure(11.0, 3.2)
     ax = figure.subplots()
     for curve, points in found:
         if points:
-            ax.plot(*zip(*points, strict=True), color=curve.colour, linestyle=curve.style, marker="o", label=curve.label)
+            ax.plot(
+                *zip(*points, strict=True),
+                color=curve.colour,
+                linestyle=curve.style,
+                marker="o",
+                label=curve.label,
+            )
     for axis, scale in ((ax.xaxis, ax.set_xscale), (ax.yaxis, ax.set_yscale)):
         scale("log")
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -86,19 +124,25 @@ def horizons_seen(curves: Sequence[Curve], si: str) -> str:
     for curve in curves:
         points = [(x, factor * y) for x, y in curve.horizons if math.isfinite(y)]
         if points:
-            ends = " and ".join(f"{y:.3g} {name} after {x:.3g} s" for x, y in (points[0], points[-1]))
+            ends = " and ".join(
+                f"{y:.3g} {name} after {x:.3g} s" for x, y in (points[0], points[-1])
+            )
             words.append(f"{curve.label}: rms error {ends}")
     return "; ".join(words)
 
 
 def worst(whole: WholeRecords) -> int:
-    """Return the place of the record with the largest error after the search, relative to its motion."""
+    """Return the place of the record with the largest error after the search, relative to its
+    motion.
+    """
     fits = [r.fit_after if math.isfinite(r.fit_after) else -math.inf for r in whole.records]
     return int(np.argmin(fits))
 
 
 def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
-    """Return the models of the figures of a diagnosis, along the record that fits worst; `both` if before and after differ."""
+    """Return the models of the figures of a diagnosis, along the record that fits worst; `both` if
+    before and after differ.
+    """
     trace = whole.traces[worst(whole)]
     seconds = [h.seconds for h in whole.horizons]
     after = list(zip(seconds, (h.after for h in whole.horizons), strict=True))
@@ -107,7 +151,15 @@ def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
     if whole.refitted:
         segments = list(zip(seconds, (h.segments for h in whole.horizons), strict=True))
         curves.append(Curve("as fitted to segments", BASELINE, None, segments))
-    curves.append(Curve("after" if both else "refitted model", ESTIMATE, trace.after, after, (0, (3, 2)) if both else "-"))
+    curves.append(
+        Curve(
+            "after" if both else "refitted model",
+            ESTIMATE,
+            trace.after,
+            after,
+            (0, (3, 2)) if both else "-",
+        )
+    )
     return curves
 
 
@@ -117,7 +169,13 @@ def whole_table(whole: WholeRecords, both: bool) -> str:
     rows = []
     for r in whole.records:
         cells = [number(r.rms_after, 3), number(r.fit_after, 4)]
-        rows.append([escape(r.record), *([number(r.rms_before, 3), number(r.fit_before, 4)] if both else []), *cells])
+        rows.append(
+            [
+                escape(r.record),
+                *([number(r.rms_before, 3), number(r.fit_before, 4)] if both else []),
+                *cells,
+            ]
+        )
     when = (f"rms error before, {per}", "FIT before, %", f"rms error after, {per}", "FIT after, %")
     head = ("record", *when) if both else ("record", f"rms error, {per}", "FIT, %")
     return table(head, rows, tuple(range(1, len(head))))

@@ -1,4 +1,6 @@
-"""The result of a diagnosis: the content of diagnosis.json, and the curves that the report draws."""
+"""The result of a diagnosis: the content of diagnosis.json, and the curves that the report
+draws.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tel
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` the probability of as much by chance."""
+    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` the
+    probability of as much by chance.
+    """
 
     name: str
     group: str
@@ -36,12 +40,18 @@ class Named:
 
     @property
     def known(self) -> bool:
-        """True if its strength, or its free play, is known; otherwise it may stand in for something else."""
+        """True if its strength, or its free play, is known; otherwise it may stand in for something
+        else.
+        """
         return self.known_within(STRENGTH_HALF_WIDTH)
 
     def known_within(self, share: float) -> bool:
-        """Return whether its strength, or its free play, is known to within this share of its value, or given."""
-        strength = self.parameters.get(find_effect(self.name).decisive.name.removeprefix(f"{self.name}."))
+        """Return whether its strength, or its free play, is known to within this share of its
+        value, or given.
+        """
+        strength = self.parameters.get(
+            find_effect(self.name).decisive.name.removeprefix(f"{self.name}.")
+        )
         return strength is None or strength.known_within(share)
 
 
@@ -50,13 +60,18 @@ class Candidate:
     """A candidate effect of a round; `size` and what follows only of candidates above chance."""
 
     name: str
-    gain: float  # rise of the log-likelihood [nats]; NaN (null in diagnosis.json) if it was not tried
+    # rise of the log-likelihood [nats]; NaN (null in diagnosis.json) if it was not tried
+    gain: float
     level: float  # rise that chance reaches [nats]
     note: str = ""  # why it was not tried
     size: float | None = None  # factor by which the mean squared error falls where it acts
-    kept: float | None = None  # gain of the log predictive density of all segments, each under parameters fitted without it [nats]
-    net: float | None = None  # of these gains and losses of segments: share that is left of the gains
-    behind: float | None = None  # log-likelihood of the best candidate above that of this one [nats]
+    # gain of the log predictive density of all segments, each under parameters fitted without it
+    # [nats]
+    kept: float | None = None
+    # of these gains and losses of segments: share that is left of the gains
+    net: float | None = None
+    # log-likelihood of the best candidate above that of this one [nats]
+    behind: float | None = None
     doubt: float | None = None  # its standard error [nats]
 
 
@@ -70,7 +85,8 @@ class Round:
     added: str | None  # the effect that was added
     decision: str  # with its reason
     gain: float = 0.0  # of the best candidate under the noise that it leaves [nats]
-    size: float = 1.0  # factor by which the best candidate lowers the mean squared error where it acts
+    # factor by which the best candidate lowers the mean squared error where it acts
+    size: float = 1.0
     finer: float | None = None  # the gain with finer steps of the simulation
     rejected: str | None = None  # the best candidate, if it was not added for a reason of its own
 
@@ -81,7 +97,8 @@ class Gap:
 
     before: float  # of the model refitted without effects
     after: float  # with the named ones
-    noise_floor: float | None  # what disturbance and sensor noise alone would leave, None where that is not known
+    # what disturbance and sensor noise alone would leave, None where that is not known
+    noise_floor: float | None
     output_unit: str
 
     @property
@@ -111,8 +128,9 @@ class Gap:
 class UnnamedTorque:
     """The unexplained residual as a sum of smooth functions, each of one variable.
 
-    `before`, `after`: mean squared errors on held-out segments, which took no part in its fit, without and with it. `offered`:
-    whether it lowers them enough to be put into a model; if not, `reason` says why. `values`: parameters of the model beside it.
+    `before`, `after`: mean squared errors on held-out segments, which took no part in its fit,
+    without and with it. `offered`: whether it lowers them enough to be put into a model; if not,
+    `reason` says why. `values`: parameters of the model beside it.
     """
 
     curves: tuple[Curve, ...]
@@ -131,7 +149,9 @@ class UnnamedTorque:
 
 @dataclass(frozen=True)
 class Trace:
-    """Measured and simulated output of one record, a value a bin, shape (n,); NaN where it was not compared."""
+    """Measured and simulated output of one record, a value a bin, shape (n,); NaN where it was not
+    compared.
+    """
 
     name: str
     time: Array  # [s]
@@ -144,7 +164,9 @@ class Trace:
 
 @dataclass(frozen=True)
 class RecordError:
-    """Errors of a whole record simulated in open loop [`unit`] and FIT [%]; NaN where the simulation fails, FIT at rest too."""
+    """Errors of a whole record simulated in open loop [`unit`] and FIT [%]; NaN where the
+    simulation fails, FIT at rest too.
+    """
 
     record: str
     unit: str
@@ -156,7 +178,9 @@ class RecordError:
 
 @dataclass(frozen=True)
 class HorizonError:
-    """Root mean square errors over all records, simulated anew after so many seconds; `segments` as fitted to segments."""
+    """Root mean square errors over all records, simulated anew after so many seconds; `segments` as
+    fitted to segments.
+    """
 
     seconds: float
     before: float
@@ -168,8 +192,8 @@ class HorizonError:
 class WholeRecords:
     """The models before and after the search over whole records.
 
-    `refitted_to`: horizon [s] that the parameters were refitted to; 0 if they are those of the segments. `segment_parameters`: what
-    the segments gave, effects included.
+    `refitted_to`: horizon [s] that the parameters were refitted to; 0 if they are those of the
+    segments. `segment_parameters`: what the segments gave, effects included.
     """
 
     records: tuple[RecordError, ...]
@@ -182,7 +206,9 @@ class WholeRecords:
 
     @property
     def worse(self) -> bool:
-        """True if the squared error over whole records is larger after the search, by as much as an effect must lower it."""
+        """True if the squared error over whole records is larger after the search, by as much as an
+        effect must lower it.
+        """
         return self.horizons[-1].after ** 2 > LEAST_FALL * self.horizons[-1].before ** 2
 
     @property
@@ -196,10 +222,11 @@ HALVES = ("the first half", "the second half")  # parts of a single record
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether the records agree on the parameters; `gain` of the log-likelihood with parameters of its own for each [nats].
+    """Whether the records agree on the parameters; `gain` of the log-likelihood with parameters of
+    its own for each [nats].
 
-    `values`: by the parameters' names, of each record, or of each half of a single one (SI); `differs`: the parameter that differs
-    most beside its uncertainty, or an empty text.
+    `values`: by the parameters' names, of each record, or of each half of a single one (SI);
+    `differs`: the parameter that differs most beside its uncertainty, or an empty text.
     """
 
     gain: float
@@ -221,9 +248,11 @@ class Agreement:
 
 @dataclass(frozen=True)
 class DesignedInput:
-    """The input of a record that would tell rivals apart; where none does, `time` and `u` are empty and `gain` is the best.
+    """The input of a record that would tell rivals apart; where none does, `time` and `u` are empty
+    and `gain` is the best.
 
-    `gain` is by how much the records are expected to decide between the two rivals that are hardest to tell apart [nats].
+    `gain` is by how much the records are expected to decide between the two rivals that are hardest
+    to tell apart [nats].
     """
 
     rivals: tuple[str, ...]  # effects; empty text: none
@@ -234,7 +263,8 @@ class DesignedInput:
     low: float  # least and largest input, and its rms [unit]
     high: float
     rms: float
-    start: float  # position at which it begins, at rest, and ends of the positions that are expected (SI)
+    # position at which it begins, at rest, and ends of the positions that are expected (SI)
+    start: float
     reach: tuple[float, float]
     columns: tuple[str, str]  # of the file: time [s] and input [unit]
     time: Array
@@ -253,7 +283,8 @@ class Diagnosis:
     Attributes
     ----------
     verdict : {"named", "tie", "none", "not_identifiable"}
-        Effects were named; effects of several classes explain the records alike; no effect is missing; the records cannot tell.
+        Effects were named; effects of several classes explain the records alike; no effect is
+        missing; the records cannot tell.
     statement : tuple of str
         The result in sentences.
     effects : tuple of Named
@@ -269,8 +300,8 @@ class Diagnosis:
     gap : Gap
         Mean squared error over held-out segments, before and after, and its noise floor.
     excitation : dict of str to object
-        What the records excite: ranges of input, speed and position (SI), shares of the time at rest, forward, backward; and
-        ``narrow``, why the excitation is too poor, or an empty text.
+        What the records excite: ranges of input, speed and position (SI), shares of the time at
+        rest, forward, backward; and ``narrow``, why the excitation is too poor, or an empty text.
     findings : tuple of str
         Lines about records and model: what, where, what to do.
     base, parameters : dict of str to Estimate
@@ -288,13 +319,16 @@ class Diagnosis:
     seconds : float
         How long it took [s].
     choices, choice_parameters : dict of str to dict of str to Estimate
-        Of each member of a tie, as if it had been named: its parameters, and those of the model beside it.
+        Of each member of a tie, as if it had been named: its parameters, and those of the model
+        beside it.
     designed : DesignedInput or None
-        The input of a record that would tell apart what these records do not; None where there is nothing to tell apart.
+        The input of a record that would tell apart what these records do not; None where there is
+        nothing to tell apart.
     whole : WholeRecords or None
         Errors of whole records in open loop, before and after; None if nothing was searched.
     unnamed : UnnamedTorque or None
-        What is left unexplained as a function of one variable or two; None where nothing much is left.
+        What is left unexplained as a function of one variable or two; None where nothing much is
+        left.
     agreement : Agreement or None
         Whether the records agree on the parameters; None where that was not tried.
     """
@@ -330,14 +364,25 @@ class Diagnosis:
         return self.agreement is not None and not self.agreement.holds
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the verdict, the answer in sentences, and a table of the effects."""
+        """Return what a notebook shows: the verdict, the answer in sentences, and a table of the
+        effects.
+        """
         from bristle.common import html
         from bristle.diagnosis.report.headline import VERDICTS, headline
 
-        found = [(effect.name, name, e) for effect in self.effects for name, e in effect.parameters.items()]
+        found = [
+            (effect.name, name, e)
+            for effect in self.effects
+            for name, e in effect.parameters.items()
+        ]
         numbers = [(e.value, *(e.ci95 or (None, None))) for *_, e in found]
         rows = [
-            [html.identifier(effect), html.identifier(name), *map(html.number, row), html.unit(e.unit)]
+            [
+                html.identifier(effect),
+                html.identifier(name),
+                *map(html.number, row),
+                html.unit(e.unit),
+            ]
             for (effect, name, e), row in zip(found, numbers, strict=True)
         ]
         heads = ["effect", "parameter", "value", "95 %, from", "to", "unit"]
@@ -352,21 +397,41 @@ class Diagnosis:
                 "verdict": self.verdict,
                 "statement": list(self.statement),
                 "effects": [
-                    {"name": e.name, "class": e.group, "parameters": _numbers(e.parameters), "gain": e.gain, "p": e.p}
+                    {
+                        "name": e.name,
+                        "class": e.group,
+                        "parameters": _numbers(e.parameters),
+                        "gain": e.gain,
+                        "p": e.p,
+                    }
                     for e in self.effects
                 ],
                 "ties": [list(t) for t in self.ties],
                 "experiment": self.experiment,
                 "experiment_input": _designed(self.designed) if self.designed else None,
                 "where": [
-                    {"view": w.view, "share": w.share, "p": w.p, "share_after": w.share_after, "p_after": w.p_after}
+                    {
+                        "view": w.view,
+                        "share": w.share,
+                        "p": w.p,
+                        "share_after": w.share_after,
+                        "p_after": w.p_after,
+                    }
                     for w in self.where
                 ],
                 "remains": asdict(self.remains),
                 "unnamed_torque": _unnamed(self.unnamed) if self.unnamed else None,
-                "agreement": {"holds": self.agreement.holds, **asdict(self.agreement)} if self.agreement else None,
-                "gap": {"before": self.gap.before, "after": self.gap.after, "noise_floor": self.gap.noise_floor,
-                        "ratio": self.gap.ratio, "shrink": self.gap.shrink, "unit": self.gap.unit},
+                "agreement": {"holds": self.agreement.holds, **asdict(self.agreement)}
+                if self.agreement
+                else None,
+                "gap": {
+                    "before": self.gap.before,
+                    "after": self.gap.after,
+                    "noise_floor": self.gap.noise_floor,
+                    "ratio": self.gap.ratio,
+                    "shrink": self.gap.shrink,
+                    "unit": self.gap.unit,
+                },
                 "excitation": self.excitation,
                 "findings": list(self.findings),
                 "proposals": list(self.proposals),
@@ -379,34 +444,57 @@ class Diagnosis:
                 "open_loop": [asdict(r) for r in self.whole.records] if self.whole else [],
                 "whole_record": _whole(self.whole) if self.whole else None,
             }
-        )  # fmt: skip
+        )
         return content
 
 
 def _unnamed(found: UnnamedTorque) -> dict[str, Any]:
-    curves = [{"variable": c.variable, "places": c.places, "torque": c.values, "half_width": c.half_width} for c in found.curves]
+    curves = [
+        {"variable": c.variable, "places": c.places, "torque": c.values, "half_width": c.half_width}
+        for c in found.curves
+    ]
     return {
-        "offered": found.offered, "reason": found.reason, "share": found.share, "rms_before": math.sqrt(found.before),
-        "rms_after": math.sqrt(found.after), "functions": curves,
-    }  # fmt: skip
+        "offered": found.offered,
+        "reason": found.reason,
+        "share": found.share,
+        "rms_before": math.sqrt(found.before),
+        "rms_after": math.sqrt(found.after),
+        "functions": curves,
+    }
 
 
 def _designed(found: DesignedInput) -> dict[str, Any]:
     said = {
-        "file": EXPERIMENT_FILE if found.written else None, "rivals": list(found.rivals), "gain": found.gain, "level": found.level,
-    }  # fmt: skip
+        "file": EXPERIMENT_FILE if found.written else None,
+        "rivals": list(found.rivals),
+        "gain": found.gain,
+        "level": found.level,
+    }
     if not found.written:
         return said
-    ends = {"input_unit": found.unit, "input_low": found.low, "input_high": found.high, "input_rms": found.rms}
+    ends = {
+        "input_unit": found.unit,
+        "input_low": found.low,
+        "input_high": found.high,
+        "input_rms": found.rms,
+    }
     place = {"start": found.start, "position_low": found.reach[0], "position_high": found.reach[1]}
-    return {**said, "motion": found.what, "seconds": float(found.time[-1] - found.time[0]), **ends, **place}
+    return {
+        **said,
+        "motion": found.what,
+        "seconds": float(found.time[-1] - found.time[0]),
+        **ends,
+        **place,
+    }
 
 
 def _whole(found: WholeRecords) -> dict[str, Any]:
     return {
-        "refitted": found.refitted, "refitted_to": found.refitted_to if found.refitted else None,
-        "horizons": [asdict(h) for h in found.horizons], "segment_parameters": _numbers(found.segment_parameters),
-    }  # fmt: skip
+        "refitted": found.refitted,
+        "refitted_to": found.refitted_to if found.refitted else None,
+        "horizons": [asdict(h) for h in found.horizons],
+        "segment_parameters": _numbers(found.segment_parameters),
+    }
 
 
 def _numbers(estimates: dict[str, Estimate]) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,6 @@
-"""Effects as candidates: each refitted by simulation together with the model, and the null distribution of their gains."""
+"""Effects as candidates: each refitted by simulation together with the model, and the null
+distribution of their gains.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,18 @@ import numpy as np
 from bristle.common.deadline import within
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
+from bristle.diagnosis.estimation.initial_states import (
+    REFINEMENT_STEPS,
+    initialise_load,
+    refine_initial_states,
+)
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
-from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
+from bristle.diagnosis.estimation.optimiser import (
+    FIT_ITERATIONS,
+    refit_nonsmooth,
+    refit_rescored,
+    value_under_noise,
+)
 from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.effect_size import LEAST_FALL, LEAST_NET_SHARE
@@ -21,13 +32,19 @@ from bristle.diagnosis.selection.start_values import SearchContext, Start, brist
 from bristle.plant.effects import effect as find_effect
 
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
-CLIMB_REPEATS = 4  # most repetitions of the steps of a candidate that is still below the model without it, but rising
+# most repetitions of the steps of a candidate that is still below the model without it, but rising
+CLIMB_REPEATS = 4
 OUT_OF_TIME = "not tried, or not to the end: the time budget was used up"
-INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influence at its start values
-CONTACT_DEFICIT = 1000.0  # nats: a contact that is predicted to stay this far below the model without it is not refitted
-WAVE_STARTS = 8  # start values of a searched frequency that are refitted where the model fits poorly
-LOAD_STARTS_TRIED = 8  # start values of a contact whose load is initialised before they are compared
-HOPEFUL_LEVELS = 0.2  # of the null's level: least predicted gain of a candidate that is refitted to the end
+# nats: predicted gain of an effect that has no influence at its start values
+INERT_GAIN = (-20.0, 2.0)
+# nats: a contact that is predicted to stay this far below the model without it is not refitted
+CONTACT_DEFICIT = 1000.0
+# start values of a searched frequency that are refitted where the model fits poorly
+WAVE_STARTS = 8
+# start values of a contact whose load is initialised before they are compared
+LOAD_STARTS_TRIED = 8
+# of the null's level: least predicted gain of a candidate that is refitted to the end
+HOPEFUL_LEVELS = 0.2
 MOST_REFITTED = 6  # most candidates that are refitted to the end
 FOLLOWED_SHARE = 0.1  # of the best predicted gain: least of one that is refitted to the end
 
@@ -50,10 +67,13 @@ class Assessment:
     """What an effect is worth, compared with the model without it."""
 
     level: float = 0.0  # gain that chance reaches [nats]
-    error_reduction: float = 1.0  # factor by which the mean squared error falls where the effect acts
-    predictive_gain: float = 0.0  # of the log predictive density of all segments, each under parameters fitted without it [nats]
+    # factor by which the mean squared error falls where the effect acts
+    error_reduction: float = 1.0
+    # of the log predictive density of all segments, each under parameters fitted without it [nats]
+    predictive_gain: float = 0.0
     net_share: float = 0.0  # of the gains and losses of all segments that is gain
-    deficit: tuple[float, float] = (0.0, 0.0)  # by how much the best candidate is likelier, and the standard error of that [nats]
+    # by how much the best candidate is likelier, and the standard error of that [nats]
+    deficit: tuple[float, float] = (0.0, 0.0)
 
     @property
     def large_enough(self) -> bool:
@@ -62,7 +82,9 @@ class Assessment:
 
     @property
     def confirmed(self) -> bool:
-        """True if segments become likelier under parameters that were fitted without them, by more than chance gives."""
+        """True if segments become likelier under parameters that were fitted without them, by more
+        than chance gives.
+        """
         return self.predictive_gain > self.level
 
     @property
@@ -91,11 +113,13 @@ class Candidate:
 
     name: str
     fit: Fit | None  # None if the effect could not be tried; `reason` says why
-    directions: tuple[Array, ...] = ()  # (segments, bins, k): directions of the residual that each start value can explain
+    # (segments, bins, k): directions of the residual that each start value can explain
+    directions: tuple[Array, ...] = ()
     predicted: float = -np.inf  # log-likelihood that the next step predicts [nats]
     other_starts: tuple[Fit, ...] = ()  # further start values
     reason: str = ""
-    assessment: Assessment | None = None  # of a candidate that was compared with others above the null's level
+    # of a candidate that was compared with others above the null's level
+    assessment: Assessment | None = None
 
     @property
     def size(self) -> int:
@@ -112,10 +136,17 @@ class Candidate:
         return self.fit.total - fit.total if self.fit else -np.inf
 
     def inside_limits(self, limits: Mapping[str, tuple[float, float]]) -> bool:
-        """False where a parameter ends at a limit of the records: it then stands in for another effect."""
+        """False where a parameter ends at a limit of the records: it then stands in for another
+        effect.
+        """
         assert self.fit is not None
         free = {f.name for f in self.fit.free} & set(limits)
-        ends = [(self.fit.values[name], end) for name in free for end in limits[name] if np.isfinite(end)]
+        ends = [
+            (self.fit.values[name], end)
+            for name in free
+            for end in limits[name]
+            if np.isfinite(end)
+        ]
         return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, end in ends)
 
     def credible(self, ranges: Mapping[str, tuple[float, float]]) -> bool:
@@ -125,8 +156,12 @@ class Candidate:
         return all(low <= self.fit.values[name] <= high for name, (low, high) in own.items())
 
 
-def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort) -> tuple[list[Candidate], Null]:
-    """Return the named effects, the most promising of them refitted to the end, and the null of the largest gain."""
+def fit_candidates(
+    context: SearchContext, names: Sequence[str], effort: Effort
+) -> tuple[list[Candidate], Null]:
+    """Return the named effects, the most promising of them refitted to the end, and the null of the
+    largest gain.
+    """
     context.prepare()
     done: list[str] = []
 
@@ -147,15 +182,24 @@ def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort)
         return tried, Null(np.zeros(1), {})
     if effort is QUICK and find_effect(max(tried, key=lambda c: c.predicted).name).free_play:
         # a shaft that hardens resembles free play, but needs more steps to be found
-        stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not find_effect(c.name).free_play}
+        stiff = {
+            c.name
+            for c in tried
+            if c.fit and find_effect(c.name).coupling and not find_effect(c.name).free_play
+        }
         tried = context.options.map(
-            lambda c: in_time(lambda: _screened(context, c.name, EXHAUSTIVE), c) if c.name in stiff else c, tried
+            lambda c: (
+                in_time(lambda: _screened(context, c.name, EXHAUSTIVE), c) if c.name in stiff else c
+            ),
+            tried,
         )
     null = _null(context, tried)
     chosen = _most_promising(context, tried, null)
     if not chosen:
         return tried, null
-    tried = context.options.map(lambda c: in_time(lambda: refit_to_end(context, c), c) if c.name in chosen else c, tried)
+    tried = context.options.map(
+        lambda c: in_time(lambda: refit_to_end(context, c), c) if c.name in chosen else c, tried
+    )
     return tried, _null(context, tried)
 
 
@@ -171,24 +215,36 @@ def _screened(context: SearchContext, name: str, effort: Effort) -> Candidate:
 def _most_promising(context: SearchContext, tried: Sequence[Candidate], null: Null) -> set[str]:
     """Return the names of the candidates that are refitted to the end."""
     least = context.fit.total
-    hopeful = [c for c in tried if c.fit and c.predicted - least > HOPEFUL_LEVELS * null.level(c.name)]
+    hopeful = [
+        c for c in tried if c.fit and c.predicted - least > HOPEFUL_LEVELS * null.level(c.name)
+    ]
     hopeful = sorted(hopeful, key=lambda c: -c.predicted)[:MOST_REFITTED]
-    return {c.name for c in hopeful if c.predicted - least > FOLLOWED_SHARE * (hopeful[0].predicted - least)}
+    return {
+        c.name
+        for c in hopeful
+        if c.predicted - least > FOLLOWED_SHARE * (hopeful[0].predicted - least)
+    }
 
 
 def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
-    """Return the null of the largest gain; what the best candidate explains does not count as noise."""
+    """Return the null of the largest gain; what the best candidate explains does not count as
+    noise.
+    """
     fitted = [c for c in tried if c.fit is not None]
     best = max(fitted, key=lambda c: c.penalised_likelihood)
     assert best.fit is not None
     white = rescored(context.fitted.problem, best.fit).white
     residual = context.response.freed(white[:, :, None])[:, :, 0]
-    return largest_gain({c.name: c.directions for c in fitted}, residual, context.fit.weight).after_refits()
+    return largest_gain(
+        {c.name: c.directions for c in fitted}, residual, context.fit.weight
+    ).after_refits()
 
 
-# -- start values --------------------------------------------------------------------------------------------------------
+# -- start values ----------------------------------------------------------------------------------
 def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candidate:
-    """Return an effect at the start value with the largest predicted likelihood, and the next best ones."""
+    """Return an effect at the start value with the largest predicted likelihood, and the next best
+    ones.
+    """
     fit = context.fit
     trials, explained = [], []
     for times in context.clocks(name):
@@ -196,76 +252,126 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candid
             simulator = context.fitted.servo.simulator(fit.simulator.segments.timed(times), (name,))
         except BristleError as error:
             return Candidate(name, None, reason=str(error))
-        for start in (*context.start_values(name, context.evidence_at(times)), *bristle_starts(context.fitted, name)):
+        for start in (
+            *context.start_values(name, context.evidence_at(times)),
+            *bristle_starts(context.fitted, name),
+        ):
             values = {f"{name}.{k}": v for k, v in start.items()}
             first = _fit_at(context, simulator, name, start, (values, fit.initial))
-            explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.free_beside(name))))
+            explained.append(
+                _explained(
+                    context, first, len(first.free) - len(context.fitted.servo.free_beside(name))
+                )
+            )
             trials.append(value_under_noise(first, context.screening_noise))
-    for joint in context.joint_starts(name) if simulator.segments.times == context.dataset.segments.times else ():
+    for joint in (
+        context.joint_starts(name)
+        if simulator.segments.times == context.dataset.segments.times
+        else ()
+    ):
         alone = {key: value for key, value in joint.values.items() if key.startswith(f"{name}.")}
-        # with the parameters of the inverse dynamics, and with those of the simulated model: either may be closer
+        # with the parameters of the inverse dynamics, and with those of the simulated model: either
+        # may be closer
         for place in ((joint.values, context.fitted.problem.initial), (alone, fit.initial)):
-            trials.append(value_under_noise(_fit_at(context, simulator, name, joint.own, place), context.screening_noise))
+            trials.append(
+                value_under_noise(
+                    _fit_at(context, simulator, name, joint.own, place), context.screening_noise
+                )
+            )
     trials = _with_load_initialised(context, name, sorted(trials, key=lambda trial: -trial[0]))
     wave = context.fits_poorly and bool(find_effect(name).periods)
     (predicted, best), *rest = trials[: max(effort.starts, WAVE_STARTS if wave else 0)]
     return Candidate(name, best, tuple(explained), predicted, tuple(fit for _, fit in rest))
 
 
-def _fit_at(context: SearchContext, simulator: Simulator, name: str, start: Start, place: tuple[Mapping[str, float], Array]) -> Fit:
-    """Return the model with an effect at some parameter values and initial states (`place`), before any step.
+def _fit_at(
+    context: SearchContext,
+    simulator: Simulator,
+    name: str,
+    start: Start,
+    place: tuple[Mapping[str, float], Array],
+) -> Fit:
+    """Return the model with an effect at some parameter values and initial states (`place`), before
+    any step.
 
-    The initial states of a load with free play are refined, since they were fitted without the effect.
+    The initial states of a load with free play are refined, since they were fitted without the
+    effect.
     """
     problem, fit, servo = context.fitted.problem, context.fit, context.fitted.servo
     values, states = place
     free = (*servo.free_beside(name), *free_parameters(name, start, servo.limits))
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(name).inactive_values
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(
+        name
+    ).inactive_values
     whole = {**defaults, **fit.values, **values}
     inside = {f.name: f.clip(whole[f.name]) for f in free}
     steps = REFINEMENT_STEPS if fit.simulator.play else 0
-    return refine_initial_states(problem, evaluate(problem, Point(simulator, free, whole | inside, states)), steps)
+    return refine_initial_states(
+        problem, evaluate(problem, Point(simulator, free, whole | inside, states)), steps
+    )
 
 
 def _explained(context: SearchContext, fit: Fit, count: int) -> Array:
-    """Return the directions of the residual that an effect's `count` parameters and its mere presence can explain."""
+    """Return the directions of the residual that an effect's `count` parameters and its mere
+    presence can explain.
+    """
     response, plain = context.response, context.fit
     present = (fit.white - plain.white)[:, :, None]
     columns = np.concatenate([fit.by_parameter[:, :, -count:], present], axis=2)
     usable = np.isfinite(columns).all(axis=(1, 2), keepdims=True)
-    return directions(response.free_of_model(response.freed(np.where(usable, columns, 0.0))), plain.weight)
+    return directions(
+        response.free_of_model(response.freed(np.where(usable, columns, 0.0))), plain.weight
+    )
 
 
 def _with_load_initialised(context: SearchContext, name: str, trials: list[Trial]) -> list[Trial]:
-    """Return the trials of a contact once more with its load placed where each segment is likeliest; others as they are."""
+    """Return the trials of a contact once more with its load placed where each segment is
+    likeliest; others as they are.
+    """
     least = context.fit.total - CONTACT_DEFICIT
     if not (find_effect(name).free_play and trials[0][0] > least):
         return trials
     problem = context.fitted.problem
     near = [fit for predicted, fit in trials[:LOAD_STARTS_TRIED] if predicted > least]
-    placed = [value_under_noise(initialise_load(problem, fit), context.screening_noise) for fit in near]
+    placed = [
+        value_under_noise(initialise_load(problem, fit), context.screening_noise) for fit in near
+    ]
     return sorted(placed, key=lambda trial: -trial[0])
 
 
-# -- refits --------------------------------------------------------------------------------------------------------------
+# -- refits ----------------------------------------------------------------------------------------
 def advance_candidate(context: SearchContext, candidate: Candidate, effort: Effort) -> Candidate:
-    """Take steps from the best start values and keep the better result; from one only where no gain is predicted.
+    """Take steps from the best start values and keep the better result; from one only where no gain
+    is predicted.
 
     An effect without influence at its start values is not moved, unless it switches.
     """
     assert candidate.fit is not None
     contact, gain = find_effect(candidate.name).free_play, candidate.predicted - context.fit.total
-    inert = INERT_GAIN[0] < gain < INERT_GAIN[1] and not contact and not find_effect(candidate.name).nonsmooth
+    inert = (
+        INERT_GAIN[0] < gain < INERT_GAIN[1]
+        and not contact
+        and not find_effect(candidate.name).nonsmooth
+    )
     if (inert and not effort.exhaustive) or (contact and gain < -CONTACT_DEFICIT):
         return replace(candidate, other_starts=())
-    several = candidate.other_starts if effort.exhaustive or gain > 0 or candidate.fit.simulator.play else ()
-    ends = [_advanced(context, fit, effort.steps, 1 if contact else CLIMB_REPEATS) for fit in (candidate.fit, *several)]
+    several = (
+        candidate.other_starts
+        if effort.exhaustive or gain > 0 or candidate.fit.simulator.play
+        else ()
+    )
+    ends = [
+        _advanced(context, fit, effort.steps, 1 if contact else CLIMB_REPEATS)
+        for fit in (candidate.fit, *several)
+    ]
     predicted, fit = max(ends, key=lambda end: end[0])
     return replace(candidate, fit=fit, predicted=predicted, other_starts=())
 
 
 def _advanced(context: SearchContext, fit: Fit, steps: int, repeats: int) -> Trial:
-    """Return a fit after steps, repeated while they gain half of what is lacking to the model without the effect."""
+    """Return a fit after steps, repeated while they gain half of what is lacking to the model
+    without the effect.
+    """
     for _ in range(repeats):
         before, fit = fit.total, refit_rescored(fit, context.screening_noise, steps)
         if not 0 < context.fit.total - fit.total < 2 * (fit.total - before):
@@ -279,7 +385,9 @@ def _advanced(context: SearchContext, fit: Fit, steps: int, repeats: int) -> Tri
 
 
 def refit_to_end(context: SearchContext, candidate: Candidate) -> Candidate:
-    """Refit a candidate; an effect that switches under the noise of its own residual, which matters then."""
+    """Refit a candidate; an effect that switches under the noise of its own residual, which matters
+    then.
+    """
     if candidate.fit is None:
         return candidate
     fit = refit_rescored(candidate.fit, context.screening_noise, FIT_ITERATIONS)

@@ -1,4 +1,6 @@
-"""The criterion by which effects, further ones and other shapes of them are accepted, the order of candidates, and ties."""
+"""The criterion by which effects, further ones and other shapes of them are accepted, the order of
+candidates, and ties.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,13 @@ from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effects as all_effects
 
 Outcome = Literal["none", "rejected", "limit", "tie", "added", "withdrawn"]
-CONTENDER_SHARE = 0.2  # of the best gain: least gain of a candidate that is refitted under the best one's noise
+# of the best gain: least gain of a candidate that is refitted under the best one's noise
+CONTENDER_SHARE = 0.2
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
-RIVAL_SHARE = 0.6  # of the best gain: gain from which on a candidate is tied with the best one where motion is uniform
-SIMPLER_ERRORS = 1.0  # standard errors: a simpler candidate that is less far behind takes the place of the best one
+# of the best gain: gain from which on a candidate is tied with the best one where motion is uniform
+RIVAL_SHARE = 0.6
+# standard errors: a simpler candidate that is less far behind takes the place of the best one
+SIMPLER_ERRORS = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,9 @@ class SearchRound:
     gain: float = 0.0  # of the best one [nats]
     ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
     decision: str = ""  # what was decided and why, for the report; empty until it is
-    # the same as a word: "limit" where a parameter of the best candidate presses against the end of its interval, so that it stands
-    # in for something else; of a candidate that was "withdrawn", the effect was added and later removed
+    # the same as a word: "limit" where a parameter of the best candidate presses against the end of
+    # its interval, so that it stands in for something else; of a candidate that was "withdrawn",
+    # the effect was added and later removed
     outcome: Outcome = "none"
     finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
     cut_short: bool = False  # whether the time budget kept it from trying all start values
@@ -53,7 +59,9 @@ class SearchRound:
 
     @property
     def unfinished(self) -> tuple[str, ...]:
-        """Candidates that were not tried, or not to the end, since the time budget did not suffice."""
+        """Candidates that were not tried, or not to the end, since the time budget did not
+        suffice.
+        """
         return tuple(c.name for c in self.candidates if c.reason == OUT_OF_TIME)
 
     @property
@@ -68,48 +76,73 @@ class SearchRound:
 
     def rejected(self, decision: str, *, keep_ties: bool = False) -> SearchRound:
         """Return the round with its best candidate rejected."""
-        return replace(self, decision=decision, outcome="rejected", ties=self.ties if keep_ties else ())
+        return replace(
+            self, decision=decision, outcome="rejected", ties=self.ties if keep_ties else ()
+        )
 
 
 def accept_or_reject(
     context: SearchContext, tried: Sequence[Candidate], above_level: Sequence[Candidate], null: Null
 ) -> SearchRound:
-    """Return the comparison of the candidates above the null's level, under the noise of the best one's residual."""
+    """Return the comparison of the candidates above the null's level, under the noise of the best
+    one's residual.
+    """
     problem, contenders = _refitted_contenders(context, _inside_limits(context, above_level))
     contenders = _inside_limits(context, contenders)
     plain = _refitted_plain(problem, context.fit, _likeliest(contenders))
     comparison = Comparison.of(context.dataset, problem, plain)
-    contenders = [replace(c, assessment=comparison.assess(c.fit, null.level(c.name))) for c in contenders if c.fit]
+    contenders = [
+        replace(c, assessment=comparison.assess(c.fit, null.level(c.name)))
+        for c in contenders
+        if c.fit
+    ]
     accepted = [c for c in contenders if c.assessment and c.assessment.accepted]
     best = simplest(accepted) if accepted else _likeliest(contenders)
     uniform = bool(context.dataset.poor_excitation)
-    ties = tuple(c.name for c in accepted if c.name != best.name and is_tied(best, c, plain, uniform))
+    ties = tuple(
+        c.name for c in accepted if c.name != best.name and is_tied(best, c, plain, uniform)
+    )
     deficits = [(c, c.assessment, likelihood_difference(best, c)) for c in contenders]
-    contenders = [replace(c, assessment=replace(a, deficit=deficit)) for c, a, deficit in deficits if a]
+    contenders = [
+        replace(c, assessment=replace(a, deficit=deficit)) for c, a, deficit in deficits if a
+    ]
     [best] = [c for c in contenders if c.name == best.name]
     assert best.fit is not None
     candidates = {c.name: c for c in (*tried, *contenders)}
     return SearchRound(
-        tuple(candidates.values()), null, plain.total, best, best.gain_over(plain), ties,
+        tuple(candidates.values()),
+        null,
+        plain.total,
+        best,
+        best.gain_over(plain),
+        ties,
         finer_gain=finer_gain(problem, plain, best.fit),
-    )  # fmt: skip
+    )
 
 
-# -- fits under the same noise -------------------------------------------------------------------------------------------
+# -- fits under the same noise ---------------------------------------------------------------------
 def _likeliest(candidates: Sequence[Candidate]) -> Candidate:
     return max(candidates, key=lambda c: c.penalised_likelihood)
 
 
 def _inside_limits(context: SearchContext, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates that end within the limits of the records; all of them if none does."""
-    return [c for c in candidates if c.inside_limits(context.fitted.servo.limits)] or list(candidates)
+    return [c for c in candidates if c.inside_limits(context.fitted.servo.limits)] or list(
+        candidates
+    )
 
 
-def _refitted_contenders(context: SearchContext, candidates: Sequence[Candidate]) -> tuple[Problem, list[Candidate]]:
-    """Return those that come near the best one, refitted under its noise until the best one stays the best."""
+def _refitted_contenders(
+    context: SearchContext, candidates: Sequence[Candidate]
+) -> tuple[Problem, list[Candidate]]:
+    """Return those that come near the best one, refitted under its noise until the best one stays
+    the best.
+    """
     plain, least = context.fit, CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
     near = [c for c in candidates if c.gain_over(plain) > least]
-    contenders = context.options.map(lambda c: replace(c, fit=c.fit and refit_with_noise(context.dataset, c.fit)), near)
+    contenders = context.options.map(
+        lambda c: replace(c, fit=c.fit and refit_with_noise(context.dataset, c.fit)), near
+    )
     best, problem = _likeliest(contenders), context.fitted.problem
     for _ in range(NOISE_ROUNDS):
         assert best.fit is not None
@@ -123,23 +156,28 @@ def _refitted_contenders(context: SearchContext, candidates: Sequence[Candidate]
 
 def _resumed(problem: Problem, candidate: Candidate) -> Candidate:
     """Return a candidate refitted under a problem."""
-    return replace(candidate, fit=candidate.fit and resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN))
+    return replace(
+        candidate, fit=candidate.fit and resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN)
+    )
 
 
 def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
-    """Return the model without any candidate, refitted from its own parameters and from those beside the best candidate.
+    """Return the model without any candidate, refitted from its own parameters and from those
+    beside the best candidate.
 
-    Stick-slip makes many small maxima of the likelihood: a candidate must not gain by leaving one of them. A load with free
-    play makes so many that it is initialised anew as well.
+    Stick-slip makes many small maxima of the likelihood: a candidate must not gain by leaving one
+    of them. A load with free play makes so many that it is initialised anew as well.
     """
     assert best.fit is not None
     values = {name: best.fit.values.get(name, value) for name, value in fit.values.items()}
     other = refit(problem, fit.at(values, best.fit.initial), stop_gain=ROUGH_STOP_GAIN)
-    better = max((resume(problem, fit, stop_gain=ROUGH_STOP_GAIN), other), key=lambda each: each.total)
+    better = max(
+        (resume(problem, fit, stop_gain=ROUGH_STOP_GAIN), other), key=lambda each: each.total
+    )
     return refit_nonsmooth(better, lambda fit: problem, fit.simulator.effects)
 
 
-# -- assessment ----------------------------------------------------------------------------------------------------------
+# -- assessment ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Comparison:
     """What a model with a further effect, or another shape of one, is compared with."""
@@ -151,22 +189,33 @@ class Comparison:
 
     @classmethod
     def of(cls, dataset: Dataset, problem: Problem, plain: Fit) -> Comparison:
-        """Return it for a model without the effect, fitted under the problem of the training segments."""
+        """Return it for a model without the effect, fitted under the problem of the training
+        segments.
+        """
         held_out = problem.only(dataset.held_out)
-        return cls(predictive_density(held_out, plain), held_out, squares(plain, dataset.train), dataset.train)
+        return cls(
+            predictive_density(held_out, plain),
+            held_out,
+            squares(plain, dataset.train),
+            dataset.train,
+        )
 
     def assess(self, fit: Fit, level: float) -> Assessment:
-        """Return what a model with the effect is worth; `level` is the gain that chance reaches [nats]."""
+        """Return what a model with the effect is worth; `level` is the gain that chance reaches
+        [nats].
+        """
         gains = predictive_density(self.held_out, fit) - self.density
         falls = fall(self.squares, squares(fit, self.train), np.abs(gains[self.train]))
         return Assessment(level, falls, float(gains.sum()), net_share(gains))
 
 
-# -- the best one, and ties ----------------------------------------------------------------------------------------------
+# -- the best one, and ties ------------------------------------------------------------------------
 def simplest(candidates: Sequence[Candidate]) -> Candidate:
-    """Return the likeliest candidate, or one with fewer parameters that is less than a standard error behind.
+    """Return the likeliest candidate, or one with fewer parameters that is less than a standard
+    error behind.
 
-    A step soon after the beginning is nearly a constant torque, and its moment can always be chosen to gain a few nats.
+    A step soon after the beginning is nearly a constant torque, and its moment can always be chosen
+    to gain a few nats.
 
     Source: breiman1984 (rule of one standard error).
     """
@@ -176,7 +225,8 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, float]:
-    """Return by how much the best candidate is likelier than another [nats] and the standard error of that.
+    """Return by how much the best candidate is likelier than another [nats] and the standard error
+    of that.
 
     Source: vuong1989 (test of non-nested models).
     """
@@ -193,9 +243,11 @@ def _is_close(best: Candidate, other: Candidate) -> bool:
 
 
 def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> bool:
-    """True if the records do not distinguish two candidates; in `uniform` motion every strong one is tied.
+    """True if the records do not distinguish two candidates; in `uniform` motion every strong one
+    is tied.
 
-    Within a class, where a tie costs no name, the likelihoods are told apart only beyond their standard error.
+    Within a class, where a tie costs no name, the likelihoods are told apart only beyond their
+    standard error.
     """
     assert best.fit is not None
     assert other.fit is not None
@@ -203,7 +255,9 @@ def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> boo
         return True
     deficit, error = likelihood_difference(best, other)
     same = group(other.name) == group(best.name)
-    return other.size <= best.size and deficit < max(TIE_NATS, SIMPLER_ERRORS * error if same else 0.0)
+    return other.size <= best.size and deficit < max(
+        TIE_NATS, SIMPLER_ERRORS * error if same else 0.0
+    )
 
 
 def group(name: str) -> str:

@@ -12,7 +12,8 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect as find_effect
 
-LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that the records cannot show the effect
+# SI unit of the parameter: a limit beyond this says that the records cannot show the effect
+LARGEST_LIMIT = 1e5
 
 
 @dataclass(frozen=True)
@@ -21,15 +22,22 @@ class Undetected:
 
     name: str
     reason: str = ""  # why it could not be tried, or an empty text
-    gain: float | None = None  # gain of its log-likelihood [nats], if it is above the level that chance reaches
+    # gain of its log-likelihood [nats], if it is above the level that chance reaches
+    gain: float | None = None
     failed: str = ""  # with a gain above that level: the condition that it does not meet
-    measurable: bool = True  # False if no parameter says how large it is: it does not vanish in proportion to its first one
-    confounded: tuple[str, ...] = ()  # parameters from which these records cannot distinguish its size
-    limit: float | None = None  # value of its first parameter [SI] that would have been detected; None if the records set no limit
+    # False if no parameter says how large it is: it does not vanish in proportion to its first one
+    measurable: bool = True
+    # parameters from which these records cannot distinguish its size
+    confounded: tuple[str, ...] = ()
+    # value of its first parameter [SI] that would have been detected; None if the records set no
+    # limit
+    limit: float | None = None
 
 
 def detection_limits(candidates: Sequence[Candidate], null: Null, base: float) -> list[Undetected]:
-    """Return what a search says of each candidate; `base` is the log-likelihood without any of them [nats]."""
+    """Return what a search says of each candidate; `base` is the log-likelihood without any of them
+    [nats].
+    """
     return [_undetected(candidate, null, base) for candidate in candidates]
 
 
@@ -39,7 +47,11 @@ def _failed(c: Candidate) -> str:
         return "gains far less than another effect, or only with values that are not credible"
     if c.assessment.objection:
         return c.assessment.objection
-    return "explains the residual less well than another effect" if c.assessment.deficit[0] > 0 else "was rejected by the search"
+    return (
+        "explains the residual less well than another effect"
+        if c.assessment.deficit[0] > 0
+        else "was rejected by the search"
+    )
 
 
 def _undetected(c: Candidate, null: Null, base: float) -> Undetected:
@@ -50,7 +62,8 @@ def _undetected(c: Candidate, null: Null, base: float) -> Undetected:
     effect = find_effect(c.name)
     strength = effect.strength
     free = [f.name for f in c.fit.free]
-    proportional = strength.minimum <= 0 <= strength.maximum and not effect.sparse  # nothing is left of it at zero
+    # nothing is left of it at zero
+    proportional = strength.minimum <= 0 <= strength.maximum and not effect.sparse
     if not proportional or strength.name not in free:
         return Undetected(c.name, measurable=False)
     place = free.index(strength.name)

@@ -1,4 +1,6 @@
-"""Whether a gain is numerical: both models are compared again with finer steps of the simulation."""
+"""Whether a gain is numerical: both models are compared again with finer steps of the
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,17 @@ FINE_REFIT_STEPS = 4  # steps of the refit where finer steps of the simulation m
 
 
 def finer_gain(problem: Problem, plain: Fit, best: Fit) -> float:
-    """Return by how much `best` is likelier than `plain` at half the step of friction and a tenth of the tolerance [nats].
+    """Return by how much `best` is likelier than `plain` at half the step of friction and a tenth
+    of the tolerance [nats].
 
-    Both are evaluated at the same parameters, and refitted only if the gain changes by more than `STEP_SHARE`.
+    Both are evaluated at the same parameters, and refitted only if the gain changes by more than
+    `STEP_SHARE`.
     """
     known = best.total - plain.total
-    fine = [evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.initial)) for fit in (plain, best)]
+    fine = [
+        evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.initial))
+        for fit in (plain, best)
+    ]
     gain = fine[1].total - fine[0].total
     if steady(known, gain):
         return gain
@@ -30,8 +37,10 @@ def steady(gain: float, finer: float) -> bool:
 
 
 def numerical(gain: float, finer: float, level: float) -> bool:
-    """True if a gain falls with finer steps of the simulation to less than half, or below the null's `level` (all in nats).
+    """True if a gain falls with finer steps of the simulation to less than half, or below the
+    null's `level` (all in nats).
 
-    Contacts occur at other moments with each step size, which changes a gain but does not take most of it away.
+    Contacts occur at other moments with each step size, which changes a gain but does not take most
+    of it away.
     """
     return finer < (1 - STEP_SHARE) * gain and (finer < level or finer < LASTING_SHARE * gain)

@@ -1,4 +1,6 @@
-"""What an effect is worth: the fall of squared errors, and the density of segments under parameters fitted without them."""
+"""What an effect is worth: the fall of squared errors, and the density of segments under parameters
+fitted without them.
+"""
 
 from __future__ import annotations
 
@@ -11,25 +13,34 @@ from bristle.diagnosis.estimation.simulator import Free
 
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
 LARGEST_FALL = 10.0  # most that the error of one segment counts as lowered, or raised, by
-OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
-LEAST_NET_SHARE = 0.5  # of all changes of the segments' predictions: least that is left of the gains after the losses
-FOLD_DAMPING = 1e-9  # relative increase of each curvature, so that what one segment alone shows can be solved for
-EVEN_VARIANCE = 1.0 / 12.0  # of what is anywhere in an interval of length 1 with the same probability
+# times the upper quartile of the segments' squared errors: most that one segment counts for
+OUTLIER_QUARTILES = 10.0
+# of all changes of the segments' predictions: least that is left of the gains after the losses
+LEAST_NET_SHARE = 0.5
+# relative increase of each curvature, so that what one segment alone shows can be solved for
+FOLD_DAMPING = 1e-9
+# of what is anywhere in an interval of length 1 with the same probability
+EVEN_VARIANCE = 1.0 / 12.0
 
 
 def fall(before: Array, after: Array, acts: Array) -> float:
-    """Return by which factor the mean squared errors of segments (segments,) fall on average, weighted by `acts`.
+    """Return by which factor the mean squared errors of segments (segments,) fall on average,
+    weighted by `acts`.
 
-    `acts`: how much the prediction of each segment changes. A stop that is met in one segment is as large as a cogging in all of
-    them; and where a servo sticks and slips, a few segments that diverge by chance would make up most of a ratio of sums.
+    `acts`: how much the prediction of each segment changes. A stop that is met in one segment is as
+    large as a cogging in all of them; and where a servo sticks and slips, a few segments that
+    diverge by chance would make up most of a ratio of sums.
     """
     tiny = np.finfo(float).tiny
-    falls = np.clip(np.maximum(before, tiny) / np.maximum(after, tiny), 1.0 / LARGEST_FALL, LARGEST_FALL)
+    falls = np.clip(
+        np.maximum(before, tiny) / np.maximum(after, tiny), 1.0 / LARGEST_FALL, LARGEST_FALL
+    )
     return float(np.average(falls, weights=acts)) if acts.any() else 1.0
 
 
 def fall_in_all(before: Array, after: Array) -> float:
-    """Return by which factor mean squared errors of segments (segments,) fall, with outliers clipped.
+    """Return by which factor mean squared errors of segments (segments,) fall, with outliers
+    clipped.
 
     Where a servo sticks and slips, a few segments that diverge by chance make up most of the mean.
     """
@@ -38,37 +49,47 @@ def fall_in_all(before: Array, after: Array) -> float:
 
 
 def net_share(gains: Array) -> float:
-    """Return what is left of the gains of segments (segments,) after the losses of others, over gains and losses together.
+    """Return what is left of the gains of segments (segments,) after the losses of others, over
+    gains and losses together.
 
-    An effect that is there makes the segments likelier in which it acts. One that stands in for something else, or for the form of
-    one found before, makes some likelier and others less likely.
+    An effect that is there makes the segments likelier in which it acts. One that stands in for
+    something else, or for the form of one found before, makes some likelier and others less likely.
     """
     return float(gains.sum()) / max(float(np.abs(gains).sum()), np.finfo(float).tiny)
 
 
 def predictive_density(held_out: Problem, fit: Fit) -> Array:
-    """Return the log predictive density of each segment (segments,) [nats], initial states integrated out; 0 for others.
+    """Return the log predictive density of each segment (segments,) [nats], initial states
+    integrated out; 0 for others.
 
-    Held-out segments take no part in the fit. Each of the others is judged with the parameters that the fit would have without it,
-    and what it would then not know of them. Parameters that end at a bound stay there.
+    Held-out segments take no part in the fit. Each of the others is judged with the parameters that
+    the fit would have without it, and what it would then not know of them. Parameters that end at a
+    bound stay there.
 
     Source: stone1974 (cross-validation).
     """
     inside = [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
     columns, weight = fit.by_parameter[:, :, inside], fit.weight[:, None]
-    own = weight[:, :, None] * np.matmul(columns.transpose(0, 2, 1), fit.elimination.project(columns))
+    own = weight[:, :, None] * np.matmul(
+        columns.transpose(0, 2, 1), fit.elimination.project(columns)
+    )
     anywhere = np.diag([_precision(fit.free[i]) for i in inside])
     information = damped(fit.information[np.ix_(inside, inside)], FOLD_DAMPING) + anywhere
     lost = left_out_loss(own, weight * fit.slopes[:, inside], gradient_of(fit)[inside], information)
-    return np.asarray(np.where(fit.weight > 0, fit.score - lost, fit.score) + refit_initial_states(held_out, fit).score)
+    return np.asarray(
+        np.where(fit.weight > 0, fit.score - lost, fit.score)
+        + refit_initial_states(held_out, fit).score
+    )
 
 
 def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) -> Array:
-    """Return how much likelier each segment is in the common fit than under what the others say (segments,) [nats].
+    """Return how much likelier each segment is in the common fit than under what the others say
+    (segments,) [nats].
 
-    The parameters are integrated out, so that what a segment alone shows costs the size of the interval where it was looked for,
-    and not what a wrong guess would. `own` (segments, k, k), `pull` (segments, k): information and gradient of each segment at the
-    fit; `information` (k, k), `gradient` (k,): those of all, prior knowledge included.
+    The parameters are integrated out, so that what a segment alone shows costs the size of the
+    interval where it was looked for, and not what a wrong guess would. `own` (segments, k, k),
+    `pull` (segments, k): information and gradient of each segment at the fit; `information` (k, k),
+    `gradient` (k,): those of all, prior knowledge included.
 
     Source: tierney1986 (integrals by the curvature at their maxima).
     """
@@ -80,6 +101,8 @@ def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) 
 
 
 def _precision(free: Free) -> float:
-    """Return the inverse variance of a parameter that is anywhere in its interval, on the scale of its steps."""
+    """Return the inverse variance of a parameter that is anywhere in its interval, on the scale of
+    its steps.
+    """
     length = free.scaled(free.high) - free.scaled(free.low)
     return 1.0 / (EVEN_VARIANCE * length**2)

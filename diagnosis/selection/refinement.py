@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.fitted_model import NOISE_FIT_ITERATIONS, FittedModel, refit_with_noise
+from bristle.diagnosis.estimation.fitted_model import (
+    NOISE_FIT_ITERATIONS,
+    FittedModel,
+    refit_with_noise,
+)
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters
@@ -21,24 +25,33 @@ def with_candidate(context: SearchContext, candidate: Candidate) -> SearchContex
     assert candidate.fit is not None
     servo = context.fitted.servo
     rigid = servo.rigid and candidate.name not in BRISTLE_EFFECTS
-    servo = replace(servo, effects=(*servo.effects, candidate.name), free=candidate.fit.free, rigid=rigid)
-    return replace(context, fitted=FittedModel(servo, context.own_noise(candidate.fit), candidate.fit))
+    servo = replace(
+        servo, effects=(*servo.effects, candidate.name), free=candidate.fit.free, rigid=rigid
+    )
+    return replace(
+        context, fitted=FittedModel(servo, context.own_noise(candidate.fit), candidate.fit)
+    )
 
 
 def add_effect(context: SearchContext, candidate: Candidate, level: float) -> FittedModel:
-    """Return the model with an effect added, refitted with its noise; `level` is the gain that chance reaches [nats]."""
+    """Return the model with an effect added, refitted with its noise; `level` is the gain that
+    chance reaches [nats].
+    """
     context = with_candidate(context, candidate)
     fitted = context.fitted
     fit = resume(fitted.problem, fitted.fit, NOISE_FIT_ITERATIONS)
-    fit = refit_with_noise(context.dataset, refit_nonsmooth(fit, context.own_noise, fitted.servo.effects))
+    fit = refit_with_noise(
+        context.dataset, refit_nonsmooth(fit, context.own_noise, fitted.servo.effects)
+    )
     problem = context.own_noise(fit)
     fitted = FittedModel(fitted.servo, problem, resume(problem, fit))
     return refit_shape(replace(context, fitted=fitted), candidate.name, level)
 
 
-# -- shape ---------------------------------------------------------------------------------------------------------------
+# -- shape -----------------------------------------------------------------------------------------
 def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
-    """Return the model with the shape of an effect fitted too, if that meets the criterion; chance gains `level` [nats].
+    """Return the model with the shape of an effect fitted too, if that meets the criterion; chance
+    gains `level` [nats].
 
     A wrong shape masks other effects and, where it changes the moments of contact, everything.
     """
@@ -56,39 +69,65 @@ def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
         return fitted
     before = rescored(problem, fitted.fit)
     usual = _usual_shape(context, problem, before, fit, name)
-    if Comparison.of(context.dataset, problem, usual).assess(fit, level).accepted and fit.penalised > usual.penalised:
+    if (
+        Comparison.of(context.dataset, problem, usual).assess(fit, level).accepted
+        and fit.penalised > usual.penalised
+    ):
         return FittedModel(best.servo, problem, fit)
     return fitted if usual is before else FittedModel(fitted.servo, problem, usual)
 
 
 def _best_shape(context: SearchContext, name: str, level: float) -> FittedModel | None:
-    """Return the likeliest model with the shape of an effect fitted from its start values; None if no gain is predicted."""
+    """Return the likeliest model with the shape of an effect fitted from its start values; None if
+    no gain is predicted.
+    """
     fitted, effect, ends = context.fitted, find_effect(name), []
     for start in effect.shape_starts:
-        servo = replace(fitted.servo, free=(*fitted.servo.free, *free_parameters(name, start, fitted.servo.limits)))
-        values = {**fitted.fit.values, **{f"{name}.{short}": value for short, value in start.items()}}
-        first = evaluate(fitted.problem, Point(fitted.fit.simulator, servo.free, values, fitted.fit.initial))
+        servo = replace(
+            fitted.servo,
+            free=(*fitted.servo.free, *free_parameters(name, start, fitted.servo.limits)),
+        )
+        values = {
+            **fitted.fit.values,
+            **{f"{name}.{short}": value for short, value in start.items()},
+        }
+        first = evaluate(
+            fitted.problem, Point(fitted.fit.simulator, servo.free, values, fitted.fit.initial)
+        )
         # the gain of a coupling's shape shows only after all of its parameters have moved
         if effect.coupling or first.total + predicted_gain(first) > fitted.fit.total + level:
-            fit = refit_nonsmooth(resume(fitted.problem, first, NOISE_FIT_ITERATIONS), context.own_noise, servo.effects)
+            fit = refit_nonsmooth(
+                resume(fitted.problem, first, NOISE_FIT_ITERATIONS),
+                context.own_noise,
+                servo.effects,
+            )
             ends.append(FittedModel(servo, fitted.problem, rescored(fitted.problem, fit)))
     return max(ends, key=lambda end: end.fit.total) if ends else None
 
 
 def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit, name: str) -> Fit:
-    """Return the fit with the usual shape, of a coupling also from the parameters beside the other shape.
+    """Return the fit with the usual shape, of a coupling also from the parameters beside the other
+    shape.
 
     Another shape must not gain by leaving a small maximum of the likelihood.
     """
     if not find_effect(name).coupling:
         return before
-    other = evaluate(problem, context.fit.at({**fit.values, **find_effect(name).inactive_values}, fit.initial))
-    other = refit_nonsmooth(resume(problem, other, NOISE_FIT_ITERATIONS), lambda _: problem, context.fitted.servo.effects)
+    other = evaluate(
+        problem, context.fit.at({**fit.values, **find_effect(name).inactive_values}, fit.initial)
+    )
+    other = refit_nonsmooth(
+        resume(problem, other, NOISE_FIT_ITERATIONS),
+        lambda _: problem,
+        context.fitted.servo.effects,
+    )
     return max(before, other, key=lambda each: each.total)
 
 
 def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate) -> bool:
-    """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on the same variables."""
+    """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on
+    the same variables.
+    """
     assert candidate.fit is not None
     views = set(find_effect(candidate.name).residual)
     periods = periods_of(candidate.name, candidate.fit.values, dataset.turn)
@@ -97,9 +136,12 @@ def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate
     return any(is_form(periods, wave) for wave in waves if wave is not None)
 
 
-# -- removal -------------------------------------------------------------------------------------------------------------
-def backward_elimination(context: SearchContext, base: FittedModel, level: float) -> tuple[FittedModel, list[str]]:
-    """Return the model without the effects that do not meet the criterion beside the last one, and their names.
+# -- removal ---------------------------------------------------------------------------------------
+def backward_elimination(
+    context: SearchContext, base: FittedModel, level: float
+) -> tuple[FittedModel, list[str]]:
+    """Return the model without the effects that do not meet the criterion beside the last one, and
+    their names.
 
     `level` is the gain that chance reaches [nats].
     """
@@ -107,20 +149,32 @@ def backward_elimination(context: SearchContext, base: FittedModel, level: float
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
     for name in added[:-1]:
         less = _without(fitted, base, name)
-        if not Comparison.of(context.dataset, less.problem, less.fit).assess(fitted.fit, level).accepted:
+        if (
+            not Comparison.of(context.dataset, less.problem, less.fit)
+            .assess(fitted.fit, level)
+            .accepted
+        ):
             fitted = less
             removed.append(name)
     return fitted, removed
 
 
 def _without(fitted: FittedModel, base: FittedModel, name: str) -> FittedModel:
-    """Return a model refitted without one of its effects; without effects of bristles with those of the base model."""
+    """Return a model refitted without one of its effects; without effects of bristles with those of
+    the base model.
+    """
     effects = tuple(each for each in fitted.servo.effects if each != name)
     rigid = base.servo.rigid and not set(effects) & set(BRISTLE_EFFECTS)
     own = [f for f in base.servo.free if rigid or not f.name.startswith(f"{OWN_BRISTLES}.")]
-    more = [f for f in fitted.servo.free if f.name.split(".")[0] in effects and f.name not in {g.name for g in own}]
+    more = [
+        f
+        for f in fitted.servo.free
+        if f.name.split(".")[0] in effects and f.name not in {g.name for g in own}
+    ]
     servo = replace(fitted.servo, effects=effects, free=(*own, *more), rigid=rigid)
     bristles = {f.name: base.fit.values[f.name] for f in own if rigid and OWN_BRISTLES in f.name}
     values = {**base.fit.values, **fitted.fit.values} | bristles
-    start = Point(servo.simulator(fitted.fit.simulator.segments), servo.free, values, fitted.fit.initial)
+    start = Point(
+        servo.simulator(fitted.fit.simulator.segments), servo.free, values, fitted.fit.initial
+    )
     return FittedModel(servo, fitted.problem, refit(fitted.problem, start))

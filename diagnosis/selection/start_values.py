@@ -25,9 +25,19 @@ from bristle.diagnosis.estimation.fitted_model import (
     reduced_friction_start,
     under_own_noise,
 )
-from bristle.diagnosis.estimation.inverse_dynamics import BALANCE_SCREENING_ITERATIONS, Balance, Balanced, BalancedModel
+from bristle.diagnosis.estimation.inverse_dynamics import (
+    BALANCE_SCREENING_ITERATIONS,
+    Balance,
+    Balanced,
+    BalancedModel,
+)
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, free_parameters
+from bristle.diagnosis.estimation.simulator import (
+    BRISTLE_EFFECTS,
+    OWN_BRISTLES,
+    Free,
+    free_parameters,
+)
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
@@ -36,13 +46,17 @@ T = TypeVar("T")
 S = TypeVar("S")
 Progress = Callable[[str, float], None]
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
-NO_FRICTION_SHARE = 0.1  # of the mean torque of the input: stands for the dry friction of a model without any
+# of the mean torque of the input: stands for the dry friction of a model without any
+NO_FRICTION_SHARE = 0.1
 BALANCE_FINALISTS = 2  # start values that are refitted with the noise of the inverse dynamics
-STRENGTH_FACTORS = (1.0, 1.6)  # times the linear estimate of an effect's first parameter, tried where the model fits poorly
+# times the linear estimate of an effect's first parameter, tried where the model fits poorly
+STRENGTH_FACTORS = (1.0, 1.6)
 
 
 class JointStart(NamedTuple):
-    """Start values of a model and an effect: `values` by full names, and those of the effect's free parameters."""
+    """Start values of a model and an effect: `values` by full names, and those of the effect's free
+    parameters.
+    """
 
     values: Mapping[str, float]
     own: Start
@@ -63,12 +77,14 @@ class SearchOptions:
     test_input_hold : bool
         If false, the input is taken as held between samples.
     jobs : int
-        Effects that are tried at a time; 0 for one on each core. The answer is the same for any number.
+        Effects that are tried at a time; 0 for one on each core. The answer is the same for any
+        number.
     budget : float
-        Seconds for the whole diagnosis, about; once most of them are gone no further effect is tried, those under way are left,
-        and the answer says so.
+        Seconds for the whole diagnosis, about; once most of them are gone no further effect is
+        tried, those under way are left, and the answer says so.
     deadline : float
-        Until when effects are tried [s, of `time.perf_counter`]; a diagnosis sets it from the budget.
+        Until when effects are tried [s, of `time.perf_counter`]; a diagnosis sets it from the
+        budget.
     """
 
     progress: Progress = lambda text, fraction: None
@@ -85,7 +101,9 @@ class SearchOptions:
         return time.perf_counter() > self.deadline
 
     def map(self, function: Callable[[T], S], items: Iterable[T]) -> list[S]:
-        """Return the results of a function, in the order of the items; simulations run outside the interpreter's lock."""
+        """Return the results of a function, in the order of the items; simulations run outside the
+        interpreter's lock.
+        """
         own = copy_context()  # with the deadline
         with ThreadPoolExecutor(self.jobs or os.cpu_count() or 1, "effects") as pool:
             return list(pool.map(lambda item: own.copy().run(function, item), items))
@@ -93,7 +111,9 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class SearchContext:
-    """The fitted model on top of which effects are tried, the records, and what all candidates of a round share."""
+    """The fitted model on top of which effects are tried, the records, and what all candidates of a
+    round share.
+    """
 
     dataset: Dataset
     fitted: FittedModel
@@ -125,23 +145,38 @@ class SearchContext:
 
     @cached_property
     def joint_starts(self) -> Callable[[str], Sequence[JointStart]]:
-        """Function of an effect's name that returns start values of effect and model together, if the model fits poorly."""
-        return joint_starts_of(self, has_diverged(self.dataset, self.fit)) if self.fits_poorly else lambda name: ()
+        """Function of an effect's name that returns start values of effect and model together, if
+        the model fits poorly.
+        """
+        return (
+            joint_starts_of(self, has_diverged(self.dataset, self.fit))
+            if self.fits_poorly
+            else lambda name: ()
+        )
 
     def clocks(self, name: str) -> list[tuple[float, ...]]:
-        """Return the times of the first samples of the records with which an effect is tried, as of `Segments.timed`.
+        """Return the times of the first samples of the records with which an effect is tried, as of
+        `Segments.timed`.
 
         An effect in the model that depends on time has settled them.
         """
         settled = any(find_effect(other).timing for other in self.fitted.servo.effects)
-        return [self.fit.simulator.segments.times] if settled else self.dataset.segments.clocks(find_effect(name).timing)
+        return (
+            [self.fit.simulator.segments.times]
+            if settled
+            else self.dataset.segments.clocks(find_effect(name).timing)
+        )
 
     def evidence_at(self, times: tuple[float, ...]) -> Evidence:
-        """Return what effects derive their start values from, with these times of the first samples."""
+        """Return what effects derive their start values from, with these times of the first
+        samples.
+        """
         return replace(self.evidence, time=self.dataset.time_at(times))
 
     def start_values(self, name: str, evidence: Evidence) -> list[Start]:
-        """Return start values of an effect: those of the options, and those that it derives from evidence."""
+        """Return start values of an effect: those of the options, and those that it derives from
+        evidence.
+        """
         derive = find_effect(name).starts
         assert derive is not None
         return [*self.options.start_values.get(name, ()), *derive(evidence)]
@@ -151,7 +186,8 @@ class SearchContext:
         return under_own_noise(self.dataset, fit)
 
     def screening_noise(self, fit: Fit) -> Problem:
-        """Return the problem under which start values are compared: with the noise of the fit if the model fits poorly.
+        """Return the problem under which start values are compared: with the noise of the fit if
+        the model fits poorly.
 
         Its own noise would then absorb a missing effect, most of all one that changes slowly.
         """
@@ -162,13 +198,25 @@ def evidence_of(dataset: Dataset, fit: Fit, response: ResidualResponse) -> Evide
     """Return what effects derive their start values from, given the residual of a fit."""
     m, values = dataset.motion, fit.values
     return Evidence(
-        m.theta, m.v * m.moving, m.a, m.u, m.time, fit.simulator.segments.h, dataset.resolution, values["J"],
-        dry_friction(fit.free, values, m.u), values["b"], response.regress, dataset.turn,
-    )  # fmt: skip
+        m.theta,
+        m.v * m.moving,
+        m.a,
+        m.u,
+        m.time,
+        fit.simulator.segments.h,
+        dataset.resolution,
+        values["J"],
+        dry_friction(fit.free, values, m.u),
+        values["b"],
+        response.regress,
+        dataset.turn,
+    )
 
 
 def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
-    """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it has none."""
+    """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it
+    has none.
+    """
     level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
     return level or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
 
@@ -176,7 +224,8 @@ def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) 
 def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:
     """Return the bristles of a rigid friction law as start values of an effect that replaces them.
 
-    They have been fitted to make up for the missing effect, so that they are closer than start values from the residual.
+    They have been fitted to make up for the missing effect, so that they are closer than start
+    values from the residual.
     """
     if name not in BRISTLE_EFFECTS or not fitted.servo.rigid:
         return []
@@ -184,44 +233,66 @@ def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:
     return [{short: fitted.fit.values[f"{OWN_BRISTLES}.{short}"] for short in own}]
 
 
-# -- together with the model ---------------------------------------------------------------------------------------------
-def joint_starts_of(context: SearchContext, diverged: bool) -> Callable[[str], Sequence[JointStart]]:
-    """Return the function that gives start values of an effect together with those of a model that fits poorly.
+# -- together with the model -----------------------------------------------------------------------
+def joint_starts_of(
+    context: SearchContext, diverged: bool
+) -> Callable[[str], Sequence[JointStart]]:
+    """Return the function that gives start values of an effect together with those of a model that
+    fits poorly.
 
-    They come from the inverse dynamics or, where the law has internal states, from the nominal model, since the fitted
-    parameters make up for the missing effect. If the model has `diverged`, starts with less dry friction are added.
+    They come from the inverse dynamics or, where the law has internal states, from the nominal
+    model, since the fitted parameters make up for the missing effect. If the model has `diverged`,
+    starts with less dry friction are added.
     """
     balanced = balanced_model(context.dataset, context.fitted)
-    usual = (lambda name: balance_starts(context, balanced, name)) if balanced.models else _nominal_starts(context)
+    usual = (
+        (lambda name: balance_starts(context, balanced, name))
+        if balanced.models
+        else _nominal_starts(context)
+    )
     less = reduced_friction_start(context.fitted)
     if not (less and diverged):
         return usual
-    return lambda name: [*usual(name), *_joined(less, name, context.start_values(name, context.evidence))]
+    return lambda name: [
+        *usual(name),
+        *_joined(less, name, context.start_values(name, context.evidence)),
+    ]
 
 
 def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]:
     """Return the function that gives start values of an effect together with the nominal model."""
     fitted, dataset = context.fitted, context.dataset
     nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
-    point = Point(fitted.fit.simulator, (), {**fitted.fit.values, **nominal}, fitted.problem.initial)
+    point = Point(
+        fitted.fit.simulator, (), {**fitted.fit.values, **nominal}, fitted.problem.initial
+    )
     fit = evaluate(fitted.problem, point)
     evidence = evidence_of(dataset, fit, ResidualResponse(replace(fitted, fit=fit), dataset))
 
     def starts(name: str) -> list[JointStart]:
         first = find_effect(name).strength.name.removeprefix(f"{name}.")
         known = [start for start in context.start_values(name, evidence) if first in start]
-        return _joined(nominal, name, [{**start, first: x * start[first]} for start in known for x in STRENGTH_FACTORS])
+        return _joined(
+            nominal,
+            name,
+            [{**start, first: x * start[first]} for start in known for x in STRENGTH_FACTORS],
+        )
 
     return starts
 
 
 def _joined(values: Mapping[str, float], name: str, starts: Sequence[Start]) -> list[JointStart]:
     """Return start values of an effect, each together with values of the model."""
-    return [JointStart({**values, **{f"{name}.{k}": v for k, v in start.items()}}, start) for start in starts]
+    return [
+        JointStart({**values, **{f"{name}.{k}": v for k, v in start.items()}}, start)
+        for start in starts
+    ]
 
 
 def balance_starts(context: SearchContext, model: BalancedModel, name: str) -> list[JointStart]:
-    """Return the parameters with which an effect explains most in the inverse dynamics; none if that does not show it."""
+    """Return the parameters with which an effect explains most in the inverse dynamics; none if
+    that does not show it.
+    """
     try:
         found = []
         for balance, base in model.fits:
@@ -237,26 +308,48 @@ def _balance_fits(
 ) -> list[tuple[float, JointStart]]:
     """Return the log-likelihood [nats] and the parameters at the best of these start values."""
     law, effects = model.servo.law, (*model.servo.effects, name)
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(name).inactive_values
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(
+        name
+    ).inactive_values
     trials = []
     for start in starts:
         free = (*model.free, *free_parameters(name, start, model.servo.limits))
         values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
-        trials.append((balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start))
+        trials.append(
+            (balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start)
+        )
     trials.sort(key=lambda trial: -trial[0].total)
     found = []
     for best, free, start in trials[:BALANCE_FINALISTS]:
         _, best = model.refit_with_noise(balance, effects, free, best)
-        found.append((best.total, JointStart(best.values, {key: best.values[f"{name}.{key}"] for key in start})))
+        found.append(
+            (
+                best.total,
+                JointStart(best.values, {key: best.values[f"{name}.{key}"] for key in start}),
+            )
+        )
     return found
 
 
-def _balance_evidence(context: SearchContext, model: BalancedModel, balance: Balance, found: Balanced) -> Evidence:
-    """Return what effects derive their start values from, given the residual of the inverse dynamics."""
+def _balance_evidence(
+    context: SearchContext, model: BalancedModel, balance: Balance, found: Balanced
+) -> Evidence:
+    """Return what effects derive their start values from, given the residual of the inverse
+    dynamics.
+    """
     m, values = balance.motion, found.values
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(
-        m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, context.dataset.resolution, values["J"],
-        dry_friction(model.free, values, m.u), values["b"],
-        lambda torques: balance.regress(found, own, values["J"], torques), context.dataset.turn,
-    )  # fmt: skip
+        m.theta,
+        m.v * m.moving,
+        m.a,
+        m.u,
+        m.time,
+        balance.step,
+        context.dataset.resolution,
+        values["J"],
+        dry_friction(model.free, values, m.u),
+        values["b"],
+        lambda torques: balance.regress(found, own, values["J"], torques),
+        context.dataset.turn,
+    )

@@ -1,4 +1,6 @@
-"""A model or a plant FMU against records that it was not fitted to: simulated in open loop, from the start of each to its end."""
+"""A model or a plant FMU against records that it was not fitted to: simulated in open loop, from
+the start of each to its end.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,17 @@ from bristle.plant.effects import effect as find_effect
 from bristle.records.clock import one_after_the_other, overlap
 from bristle.records.record import Record
 
-Simulated = Callable[[Records, float], OpenLoop | None]  # records, and the horizon [s] after which it begins anew
+# records, and the horizon [s] after which it begins anew
+Simulated = Callable[[Records, float], OpenLoop | None]
 
 
 @dataclass(frozen=True)
 class ValidatedRecord:
-    """A record in open loop: errors in `unit`, FIT and the error of eq. (25) in per cent; NaN where they cannot be given.
+    """A record in open loop: errors in `unit`, FIT and the error of eq. (25) in per cent; NaN where
+    they cannot be given.
 
-    `horizons`: (horizon [s], rms error); the last one is the whole record. `time` [s], `input` [SI], `measured`, `simulated`:
-    sample by sample, shape (n,).
+    `horizons`: (horizon [s], rms error); the last one is the whole record. `time` [s], `input`
+    [SI], `measured`, `simulated`: sample by sample, shape (n,).
     """
 
     name: str
@@ -52,7 +56,13 @@ class ValidatedRecord:
     def trace(self) -> Trace:
         """The signals, for a figure."""
         return Trace(
-            self.name, self.time, self.input, self.measured, self.simulated, self.simulated, np.zeros(len(self.time), bool)
+            self.name,
+            self.time,
+            self.input,
+            self.measured,
+            self.simulated,
+            self.simulated,
+            np.zeros(len(self.time), bool),
         )
 
 
@@ -81,15 +91,26 @@ class Validation:
         """Return what a notebook shows: the errors of each record."""
         from bristle.common import html
 
-        rows = [[escape(r.name), *map(html.number, (r.rms, r.fit_percent, r.mse_percent)), html.unit(r.unit)] for r in self.records]
+        rows = [
+            [
+                escape(r.name),
+                *map(html.number, (r.rms, r.fit_percent, r.mse_percent)),
+                html.unit(r.unit),
+            ]
+            for r in self.records
+        ]
         head = ["record", "rms error", "FIT, %", "eq. (25), %", "unit of the rms error"]
-        return f"<p><b>{escape(self.name)}</b>, in open loop</p>\n{html.table(head, rows, (1, 2, 3))}"
+        return (
+            f"<p><b>{escape(self.name)}</b>, in open loop</p>\n{html.table(head, rows, (1, 2, 3))}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return what validation.json holds: plain numbers, lists and text, no NaN."""
         keys = ("name", "unit", "rms", "fit_percent", "mse_percent", "horizons")
         rows = [{key: getattr(record, key) for key in keys} for record in self.records]
-        content: dict[str, Any] = plain({"model": self.name, "records": rows, "findings": list(self.findings)})
+        content: dict[str, Any] = plain(
+            {"model": self.name, "records": rows, "findings": list(self.findings)}
+        )
         return content
 
 
@@ -99,9 +120,11 @@ def validate(model: Model, records: Sequence[Record]) -> Validation:
     Parameters
     ----------
     model : Model
-        From `load_model`: a model file, or the augmented.toml of a diagnosis. Nothing of it is fitted.
+        From `load_model`: a model file, or the augmented.toml of a diagnosis. Nothing of it is
+        fitted.
     records : sequence of Record
-        From `load_records` or `records_from_arrays`. Position and velocity at their starts are fitted.
+        From `load_records` or `records_from_arrays`. Position and velocity at their starts are
+        fitted.
 
     Returns
     -------
@@ -118,18 +141,23 @@ def validate(model: Model, records: Sequence[Record]) -> Validation:
     servo = Servo(model.friction, tuple(model.effects), (), (), fixed_values(records[0].h), False)
     values = model.settings()
     name = model.friction if model.path is None else model.path.name
-    found = _validated(name, model, records, lambda own, seconds: open_loop(servo, values, own, seconds))
+    found = _validated(
+        name, model, records, lambda own, seconds: open_loop(servo, values, own, seconds)
+    )
     return replace(found, findings=(*lines, *found.findings))
 
 
-def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeout: float | None = None) -> Validation:
+def validate_fmu(
+    fmu_path: Path, model: Model, records: Sequence[Record], timeout: float | None = None
+) -> Validation:
     """Simulate a plant FMU over records in open loop, and compare.
 
     Parameters
     ----------
     fmu_path : Path
-        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold velocities. It runs in a
-        process of its own. Where it can be started from the measured position and velocity, it is, and the position is fitted.
+        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold
+        velocities. It runs in a process of its own. Where it can be started from the measured
+        position and velocity, it is, and the position is fitted.
     model : Model
         What the records hold; `fmu_model`, or from a file.
     records : sequence of Record
@@ -140,12 +168,14 @@ def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeou
     Returns
     -------
     Validation
-        As of `validate`; of an FMU that cannot be started from a given state, over whole records alone.
+        As of `validate`; of an FMU that cannot be started from a given state, over whole records
+        alone.
 
     Raises
     ------
     BristleError
-        If the FMU cannot be read, lacks these variables, crashes, takes longer than `timeout` or refuses a step.
+        If the FMU cannot be read, lacks these variables, crashes, takes longer than `timeout` or
+        refuses a step.
     """
     check_arguments(model, records)
     fmu = plant_fmu(fmu_path, model)
@@ -155,9 +185,11 @@ def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeou
 
 
 def _on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Record], list[str]]:
-    """Return the records with the times that an event of the model counts by, and a line that says so.
+    """Return the records with the times that an event of the model counts by, and a line that says
+    so.
 
-    Where each record has a clock of its own, a diagnosis lets them follow one another, and so does this.
+    Where each record has a clock of its own, a diagnosis lets them follow one another, and so does
+    this.
     """
     timed = {name: kind for name in model.effects if (kind := find_effect(name).timing)}
     if not timed or not overlap((float(r.time[0]), float(r.time[-1])) for r in records):
@@ -166,13 +198,26 @@ def _on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Rec
     events = [name for name, kind in timed.items() if kind == "event"]
     if not events:
         return records, lines
-    begins = one_after_the_other(min(float(r.time[0]) for r in records), [len(r) * r.h for r in records])
-    moved = [replace(r, time=r.time - r.time[0] + begin) for r, begin in zip(records, begins, strict=True)]
+    begins = one_after_the_other(
+        min(float(r.time[0]) for r in records), [len(r) * r.h for r in records]
+    )
+    moved = [
+        replace(r, time=r.time - r.time[0] + begin)
+        for r, begin in zip(records, begins, strict=True)
+    ]
     order = ", ".join(r.name for r in records)
-    return moved, [*lines, f"{' and '.join(events)} by the time over the records one after the other, in the order given: {order}"]
+    return moved, [
+        *lines,
+        (
+            f"{' and '.join(events)} by the time over the records one after the other, in the order"
+            f" given: {order}"
+        ),
+    ]
 
 
-def _validated(name: str, model: Model, records: Sequence[Record], simulate: Simulated) -> Validation:
+def _validated(
+    name: str, model: Model, records: Sequence[Record], simulate: Simulated
+) -> Validation:
     rows = tuple(_row(r, model, simulate) for r in records)
     findings = tuple(line for r in records for line in r.findings)
     return Validation(name, model.output_kind, rows, findings)
@@ -190,5 +235,12 @@ def _row(record: Record, model: Model, simulate: Simulated) -> ValidatedRecord:
     [y], [seen] = loop.measured, loop.simulated
     errors = rms(y - seen), fit_percent(y, seen), mse_percent(y, seen)
     return ValidatedRecord(
-        record.name, model.output_unit, *errors, tuple(curve), record.time[: len(y)], record.u[: len(y)], y, seen
+        record.name,
+        model.output_unit,
+        *errors,
+        tuple(curve),
+        record.time[: len(y)],
+        record.u[: len(y)],
+        y,
+        seen,
     )

@@ -1,4 +1,6 @@
-"""Conformance of an FMU: each point is one small function in a registry, of the archive, the description or the behaviour."""
+"""Conformance of an FMU: each point is one small function in a registry, of the archive, the
+description or the behaviour.
+"""
 
 from bristle.fmus.conformance import (  # noqa: F401  they fill the registries
     archive,
@@ -17,6 +19,15 @@ from bristle.fmus.conformance.report import junit, sarif, to_lines, to_tree
 from bristle.fmus.conformance.running import BEHAVIOUR
 
 __all__ = [
-    "BEHAVIOUR", "POINTS", "Result", "Severity", "Verdict", "conformance", "junit", "sarif", "static_conformance", "to_lines",
+    "BEHAVIOUR",
+    "POINTS",
+    "Result",
+    "Severity",
+    "Verdict",
+    "conformance",
+    "junit",
+    "sarif",
+    "static_conformance",
+    "to_lines",
     "to_tree",
-]  # fmt: skip
+]

@@ -25,15 +25,27 @@ def _root(package: Package) -> Iterator[str]:
 @point("archive-method", "entries stored or deflated, not encrypted, ZIP 2.0", description=False)
 def _method(package: Package) -> Iterator[str]:
     for e in package.entries:
-        if e.compress_type not in STORED_OR_DEFLATED or e.flag_bits & ENCRYPTED or e.extract_version > HIGHEST_VERSION:
-            yield f"{e.filename}: method {e.compress_type}, version {e.extract_version}, flags {e.flag_bits}"
+        if (
+            e.compress_type not in STORED_OR_DEFLATED
+            or e.flag_bits & ENCRYPTED
+            or e.extract_version > HIGHEST_VERSION
+        ):
+            yield (
+                f"{e.filename}: method {e.compress_type}, version {e.extract_version}, flags"
+                f" {e.flag_bits}"
+            )
 
 
 @point("archive-paths", "relative paths with / that stay inside", description=False)
 def _paths(package: Package) -> Iterator[str]:
     for entry in package.entries:
         name = entry.orig_filename
-        if "\\" in name or name.startswith("/") or ".." in name.split("/") or ":" in name.split("/")[0]:
+        if (
+            "\\" in name
+            or name.startswith("/")
+            or ".." in name.split("/")
+            or ":" in name.split("/")[0]
+        ):
             yield name
 
 
@@ -42,7 +54,9 @@ def _twice(package: Package) -> Iterator[str]:
     yield from sorted({name for name in package.names if package.names.count(name) > 1})
 
 
-@point("archive-case", "no two names that differ in case alone", Severity.warning, description=False)
+@point(
+    "archive-case", "no two names that differ in case alone", Severity.warning, description=False
+)
 def _case(package: Package) -> Iterator[str]:
     seen: dict[str, str] = {}
     for name in dict.fromkeys(package.names):
@@ -50,7 +64,11 @@ def _case(package: Package) -> Iterator[str]:
             yield f"{seen[name.casefold()]} and {name}"
 
 
-@point("archive-whole", "each entry can be unpacked and has the checksum that is stored with it", description=False)
+@point(
+    "archive-whole",
+    "each entry can be unpacked and has the checksum that is stored with it",
+    description=False,
+)
 def _whole(package: Package) -> Iterator[str]:
     with zipfile.ZipFile(package.path) as archive:
         for entry in package.entries:
@@ -58,21 +76,38 @@ def _whole(package: Package) -> Iterator[str]:
                 with archive.open(entry) as file:
                     while file.read(READ_SIZE):
                         pass
-            except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+            except (
+                zipfile.BadZipFile,
+                zlib.error,
+                EOFError,
+                NotImplementedError,
+                RuntimeError,
+            ) as error:
                 yield f"{entry.filename}: {' '.join(str(error).split())}"
 
 
-@point("archive-times", "one time for all entries, so that a second build gives the same bytes", Severity.note, description=False)
+@point(
+    "archive-times",
+    "one time for all entries, so that a second build gives the same bytes",
+    Severity.note,
+    description=False,
+)
 def _times(package: Package) -> Iterator[str]:
     times = sorted({entry.date_time for entry in package.entries})
     if len(times) > 1:
-        first, last = ("{}-{:02}-{:02} {:02}:{:02}:{:02}".format(*time) for time in (times[0], times[-1]))
+        first, last = (
+            "{}-{:02}-{:02} {:02}:{:02}:{:02}".format(*time) for time in (times[0], times[-1])
+        )
         yield f"from {first} to {last}"
 
 
 @point("archive-sources", "each source file that is listed is there")
 def _sources(package: Package) -> Iterator[str]:
-    text = package.read("sources/buildDescription.xml") if "sources/buildDescription.xml" in package.names else b""
+    text = (
+        package.read("sources/buildDescription.xml")
+        if "sources/buildDescription.xml" in package.names
+        else b""
+    )
     listed = [("sources", each) for each in package.root.iterfind(".//SourceFiles/File")]
     if text:
         try:
@@ -85,9 +120,15 @@ def _sources(package: Package) -> Iterator[str]:
             yield name
 
 
-@point("archive-terminals", "each variable that terminalsAndIcons.xml names is one of the description")
+@point(
+    "archive-terminals", "each variable that terminalsAndIcons.xml names is one of the description"
+)
 def _terminals(package: Package) -> Iterator[str]:
-    place = "terminalsAndIcons/terminalsAndIcons.xml" if package.fmi == 3 else "icons/terminalsAndIcons.xml"
+    place = (
+        "terminalsAndIcons/terminalsAndIcons.xml"
+        if package.fmi == 3
+        else "icons/terminalsAndIcons.xml"
+    )
     if place not in package.names:
         return
     try:
@@ -98,7 +139,11 @@ def _terminals(package: Package) -> Iterator[str]:
     known = {v.get("name") for v, _ in package.variables} | {
         a.get("name") for v, _ in package.variables for a in v.iterfind("Alias")
     }
-    yield from (str(each.get("variableName")) for each in root.iter() if each.get("variableName", None) not in {None, *known})
+    yield from (
+        str(each.get("variableName"))
+        for each in root.iter()
+        if each.get("variableName", None) not in {None, *known}
+    )
 
 
 @point("archive-links", "no symbolic links", description=False)
@@ -106,9 +151,18 @@ def _links(package: Package) -> Iterator[str]:
     yield from (e.filename for e in package.entries if stat.S_ISLNK(e.external_attr >> 16))
 
 
-@point("archive-documentation", "documentation/index.html (FMI 2 also main.html)", Severity.note, description=False)
+@point(
+    "archive-documentation",
+    "documentation/index.html (FMI 2 also main.html)",
+    Severity.note,
+    description=False,
+)
 def _documentation(package: Package) -> Iterator[str]:
-    if not {"documentation/index.html", "documentation/_main.html", "documentation/main.html"} & set(package.names):
+    if not {
+        "documentation/index.html",
+        "documentation/_main.html",
+        "documentation/main.html",
+    } & set(package.names):
         yield "there is no start page"
 
 
@@ -116,5 +170,9 @@ def _documentation(package: Package) -> Iterator[str]:
 def _binary(package: Package) -> Iterator[str]:
     parts = [name.split("/") for name in package.names if name.startswith("binaries/")]
     for platform in sorted({each[1] for each in parts if len(each) == 3 and each[2]}):
-        files = {each[2].rpartition(".")[0] for each in parts if len(each) == 3 and each[1] == platform}
-        yield from (f"binaries/{platform}: no {name}" for name in package.identifiers if name not in files)
+        files = {
+            each[2].rpartition(".")[0] for each in parts if len(each) == 3 and each[1] == platform
+        }
+        yield from (
+            f"binaries/{platform}: no {name}" for name in package.identifiers if name not in files
+        )

@@ -92,18 +92,26 @@ def _unknown(subject: Subject) -> Iterator[str]:
 
 
 def _of_another_type(instance: Instance) -> Iterator[str]:
-    """Give what is read of real variables as of another type, where no variable of that type has the reference."""
+    """Give what is read of real variables as of another type, where no variable of that type has
+    the reference.
+    """
     subject = instance.subject
     for kind in ("Integer", "Boolean") if subject.fmi == 2 else ("Int32", "Boolean"):
-        used = {v.valueReference for v in subject.variables.values() if v.type in (kind, "Enumeration")}
+        used = {
+            v.valueReference for v in subject.variables.values() if v.type in (kind, "Enumeration")
+        }
         real = subject.scalars("output", "input", "parameter")
         names = [name for name in real if subject.variables[name].valueReference not in used]
         for name in names[:1]:
-            if not refused(instance.access("Get", subject.reference(name), kind, (subject.typed(kind)[1] * 1)())):
+            if not refused(
+                instance.access(
+                    "Get", subject.reference(name), kind, (subject.typed(kind)[1] * 1)()
+                )
+            ):
                 yield f"{name} is read as {kind}, with status OK"
 
 
-# -- order ---------------------------------------------------------------------------------------------------------------
+# -- order -----------------------------------------------------------------------------------------
 
 
 @behaviour("run-early", "a step before the end of initialisation is refused", Severity.warning)
@@ -127,7 +135,11 @@ def _late(subject: Subject) -> Iterator[str]:
             yield "a step after Terminate has status OK"
 
 
-@behaviour("run-twice", "initialisation is not entered twice, nor left without being entered", Severity.warning)
+@behaviour(
+    "run-twice",
+    "initialisation is not entered twice, nor left without being entered",
+    Severity.warning,
+)
 def _twice(subject: Subject) -> Iterator[str]:
     with Instance(subject) as instance:
         if not refused(instance.call("ExitInitializationMode")):
@@ -166,7 +178,10 @@ def _changed(instance: Instance, names: list[str]) -> Iterator[str]:
     """Give the variables that take another value though they should not."""
     for name in names:
         before = instance.number(name)
-        if not refused(instance.write(name, [before + 1.0])) and instance.number(name) == before + 1.0:
+        if (
+            not refused(instance.write(name, [before + 1.0]))
+            and instance.number(name) == before + 1.0
+        ):
             yield f"{name} is set, with status OK"
 
 
@@ -199,7 +214,7 @@ def _legal(subject: Subject) -> Iterator[str]:
                 yield f"{what} from {where}: {error}"
 
 
-# -- messages ------------------------------------------------------------------------------------------------------------
+# -- messages --------------------------------------------------------------------------------------
 
 
 @behaviour("run-log-same", "with debug logging it gives the same digits")
@@ -208,7 +223,11 @@ def _log_same(subject: Subject) -> Iterator[str]:
         yield from differing(run.columns, fresh(subject), fresh(subject, Options(logging=True)))
 
 
-@behaviour("run-log-off", "without debug logging it sends no message where nothing is wrong", Severity.warning)
+@behaviour(
+    "run-log-off",
+    "without debug logging it sends no message where nothing is wrong",
+    Severity.warning,
+)
 def _log_off(subject: Subject) -> Iterator[str]:
     with Run(subject, moved=False) as run:
         run.begin()
@@ -217,7 +236,9 @@ def _log_off(subject: Subject) -> Iterator[str]:
             yield f"{category}: {' '.join(text.split())[:80]}"
 
 
-@behaviour("run-log-categories", "messages are of the categories of the description", Severity.warning)
+@behaviour(
+    "run-log-categories", "messages are of the categories of the description", Severity.warning
+)
 def _log_categories(subject: Subject) -> Iterator[str]:
     declared = {c.name for c in subject.description.logCategories or ()}
     if not declared:
@@ -225,13 +246,18 @@ def _log_categories(subject: Subject) -> Iterator[str]:
     with Run(subject, Options(logging=True)) as run:
         run.begin()
         run.steps(2)
-        run.instance.access("Get", LARGEST_REFERENCE, "Real" if subject.fmi == 2 else "Float64", (c_double * 1)())
+        run.instance.access(
+            "Get", LARGEST_REFERENCE, "Real" if subject.fmi == 2 else "Float64", (c_double * 1)()
+        )
         run.instance.step_status(run.t, -math.inf)
         used = {category for _, category, _ in run.instance.messages}
     yield from (f"'{category}'" for category in sorted(used - declared))
 
 
-@behaviour("run-log-set", "debug logging is switched on and off, for the categories of the description, too")
+@behaviour(
+    "run-log-set",
+    "debug logging is switched on and off, for the categories of the description, too",
+)
 def _log_set(subject: Subject) -> Iterator[str]:
     names = [c.name.encode() for c in subject.description.logCategories or ()]
     with Run(subject) as run:

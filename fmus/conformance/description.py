@@ -110,7 +110,11 @@ def _items(package: Package) -> Iterator[str]:
     for v, typed in package.variables:
         known = types.get(typed.get("declaredType")) if typed.tag == "Enumeration" else None
         if known is not None:
-            yield from (f"{v.get('name')}: {text}" for text in (typed.get("start") or "").split() if text not in known)
+            yield from (
+                f"{v.get('name')}: {text}"
+                for text in (typed.get("start") or "").split()
+                if text not in known
+            )
 
 
 @point("description-references", "no two variables that can be set share a value reference")
@@ -128,7 +132,9 @@ def _references(package: Package) -> Iterator[str]:
 def _states(package: Package) -> Iterator[str]:
     variables = package.variables
     known = {str(v.get("valueReference")): (v, typed) for v, typed in variables}
-    for name, typed in ((v.get("name"), typed) for v, typed in variables if typed.get("derivative")):
+    for name, typed in (
+        (v.get("name"), typed) for v, typed in variables if typed.get("derivative")
+    ):
         reference = str(typed.get("derivative"))
         if package.fmi == 3:
             state = known.get(reference)
@@ -146,11 +152,17 @@ def _abilities(package: Package) -> Iterator[str]:
     word = "FMUstate" if package.fmi == 2 else "FMUState"
     for kind in ("CoSimulation", "ModelExchange"):
         for each in package.root.iterfind(kind):
-            if each.get(f"canSerialize{word}") in TRUE and each.get(f"canGetAndSet{word}") not in TRUE:
+            if (
+                each.get(f"canSerialize{word}") in TRUE
+                and each.get(f"canGetAndSet{word}") not in TRUE
+            ):
                 yield f"{kind}: canSerialize{word} without canGetAndSet{word}"
 
 
-@point("description-times", "the default experiment ends after its start, and its step size and tolerance are positive")
+@point(
+    "description-times",
+    "the default experiment ends after its start, and its step size and tolerance are positive",
+)
 def _times(package: Package) -> Iterator[str]:
     for given in package.root.iterfind("DefaultExperiment"):
         start, stop = _number(given.get("startTime"), 0.0), _number(given.get("stopTime"), math.inf)

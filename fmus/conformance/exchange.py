@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from bristle.fmus.conformance.instance import MODEL_EXCHANGE, CallFailed, Ended, Events2, Instance, Options, Subject
+from bristle.fmus.conformance.instance import (
+    MODEL_EXCHANGE,
+    CallFailed,
+    Ended,
+    Events2,
+    Instance,
+    Options,
+    Subject,
+)
 from bristle.fmus.conformance.registry import Severity
 from bristle.fmus.conformance.running import (
     STEPS,
@@ -83,9 +91,15 @@ class Model:
         self.events = settle(self.instance)
         self.instance.do("EnterContinuousTimeMode")
         if self.subject.fmi == 2:
-            self.n, self.m = len(self.subject.description.derivatives), int(self.subject.description.numberOfEventIndicators or 0)
+            self.n, self.m = (
+                len(self.subject.description.derivatives),
+                int(self.subject.description.numberOfEventIndicators or 0),
+            )
         else:
-            self.n, self.m = self._counted("GetNumberOfContinuousStates"), self._counted("GetNumberOfEventIndicators")
+            self.n, self.m = (
+                self._counted("GetNumberOfContinuousStates"),
+                self._counted("GetNumberOfEventIndicators"),
+            )
 
     def _counted(self, name: str) -> int:
         number = c_size_t()
@@ -212,7 +226,10 @@ def _finite(subject: Subject) -> Iterator[str]:
     with _begun(subject) as model:
         for _ in range(STEPS):
             values = {**dict(zip(_names(model), model._row(), strict=True))}
-            values |= {f"event indicator {k}": z for k, z in enumerate(model.indicators() if model.m else (), start=1)}
+            values |= {
+                f"event indicator {k}": z
+                for k, z in enumerate(model.indicators() if model.m else (), start=1)
+            }
             bad = [name for name, value in values.items() if not math.isfinite(value)]
             if bad:
                 yield from (f"{name} is {values[name]} at {model.t:g} s" for name in bad)
@@ -226,17 +243,26 @@ def _states(subject: Subject) -> Iterator[str]:
         x = _beside(model.states())
         model.go(model.t, x)
         found = model.states()
-    yield from (f"state {k + 1}: {found[k]:.17g} instead of {x[k]:.17g}" for k in np.flatnonzero(found != x))
+    yield from (
+        f"state {k + 1}: {found[k]:.17g} instead of {x[k]:.17g}" for k in np.flatnonzero(found != x)
+    )
 
 
 @exchange("exchange-nominals", "nominal values of states are positive and finite")
 def _nominals(subject: Subject) -> Iterator[str]:
     with _with_states(subject) as model:
         found = model.instance.vector("GetNominalsOfContinuousStates", model.n)
-    yield from (f"state {k}: {value:g}" for k, value in enumerate(found, start=1) if not 0 < value < math.inf)
+    yield from (
+        f"state {k}: {value:g}"
+        for k, value in enumerate(found, start=1)
+        if not 0 < value < math.inf
+    )
 
 
-@exchange("exchange-order", "states and derivatives are those of their variables, in the order of the description")
+@exchange(
+    "exchange-order",
+    "states and derivatives are those of their variables, in the order of the description",
+)
 def _order(subject: Subject) -> Iterator[str]:
     with _with_states(subject) as model:
         model.steps(3)
@@ -250,7 +276,11 @@ def _order(subject: Subject) -> Iterator[str]:
                     yield f"{name} is {value:.17g}, its entry {entry:.17g}"
 
 
-@exchange("exchange-pure", "derivatives and event indicators depend on time, states and inputs alone, not on what was asked before")
+@exchange(
+    "exchange-pure",
+    "derivatives and event indicators depend on time, states and inputs alone, not on what was"
+    " asked before",
+)
 def _pure(subject: Subject) -> Iterator[str]:
     with _with_states(subject) as model:
         model.steps(3)
@@ -262,7 +292,10 @@ def _pure(subject: Subject) -> Iterator[str]:
             model.derivatives()
             model.go(t, x)
             after = np.concatenate([model.derivatives(), model.indicators()])
-            yield from (f"value {k + 1}: {after[k]:.17g} instead of {before[k]:.17g}" for k in np.flatnonzero(after != before))
+            yield from (
+                f"value {k + 1}: {after[k]:.17g} instead of {before[k]:.17g}"
+                for k in np.flatnonzero(after != before)
+            )
 
 
 @exchange("exchange-again", "a second instance, and one that was reset, give the same digits")
@@ -290,14 +323,22 @@ def _state(subject: Subject) -> Iterator[str]:
         model.instance.free_state(state)
 
 
-# -- dependencies and derivatives ----------------------------------------------------------------------------------------
+# -- dependencies and derivatives ------------------------------------------------------------------
 
 
 def _knowns(subject: Subject) -> list[str]:
     """Return states, and inputs that are continuous."""
-    states = [u.variable.derivative.name for u in subject.description.derivatives if u.variable.derivative is not None]
+    states = [
+        u.variable.derivative.name
+        for u in subject.description.derivatives
+        if u.variable.derivative is not None
+    ]
     scalar = subject.scalars("input", "output", "local")
-    inputs = [name for name in subject.scalars("input") if subject.variables[name].variability == "continuous"]
+    inputs = [
+        name
+        for name in subject.scalars("input")
+        if subject.variables[name].variability == "continuous"
+    ]
     return [name for name in (*states, *inputs) if name in set(scalar)]
 
 
@@ -307,7 +348,11 @@ class _Settable:
     def __init__(self, model: Model) -> None:
         self.model, self.subject = model, model.subject
         derivatives = model.subject.description.derivatives
-        self.places = {u.variable.derivative.name: k for k, u in enumerate(derivatives) if u.variable.derivative is not None}
+        self.places = {
+            u.variable.derivative.name: k
+            for k, u in enumerate(derivatives)
+            if u.variable.derivative is not None
+        }
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.model.instance, name)
@@ -325,20 +370,29 @@ def _unknowns(subject: Subject) -> list[Any]:
     """Return derivatives and continuous outputs that are single numbers."""
     given = [*subject.description.derivatives, *subject.description.outputs]
     scalar = set(subject.scalars("local", "output"))
-    return [u for u in given if u.variable.name in scalar and u.variable.variability == "continuous"]
+    return [
+        u for u in given if u.variable.name in scalar and u.variable.variability == "continuous"
+    ]
 
 
 def _scalar_model(subject: Subject) -> Model:
     if not _unknowns(subject) or not _knowns(subject):
-        raise NotApplicable("it has no derivative or output, or no state or input, that is a single number")
-    if len(subject.description.derivatives) != sum(subject.count(u.variable.name) for u in subject.description.derivatives):
+        raise NotApplicable(
+            "it has no derivative or output, or no state or input, that is a single number"
+        )
+    if len(subject.description.derivatives) != sum(
+        subject.count(u.variable.name) for u in subject.description.derivatives
+    ):
         raise NotApplicable("its states are arrays")
     model = _begun(subject)
     model.steps(3)
     return model
 
 
-@exchange("exchange-dependencies", "derivatives and outputs depend on what they are declared to depend on alone")
+@exchange(
+    "exchange-dependencies",
+    "derivatives and outputs depend on what they are declared to depend on alone",
+)
 def _dependencies(subject: Subject) -> Iterator[str]:
     unknowns = [u for u in _unknowns(subject) if u.dependencies is not None]
     if not unknowns:
@@ -349,7 +403,12 @@ def _dependencies(subject: Subject) -> Iterator[str]:
 
 @exchange("exchange-derivatives", "directional derivatives are the difference quotients")
 def _derivatives(subject: Subject) -> Iterator[str]:
-    ask(subject, "providesDirectionalDerivative", "providesDirectionalDerivatives", kind=MODEL_EXCHANGE)
+    ask(
+        subject,
+        "providesDirectionalDerivative",
+        "providesDirectionalDerivatives",
+        kind=MODEL_EXCHANGE,
+    )
     with _scalar_model(subject) as model:
         names = list(dict.fromkeys(u.variable.name for u in _unknowns(subject)))
         for known in _knowns(subject):
@@ -357,7 +416,9 @@ def _derivatives(subject: Subject) -> Iterator[str]:
             nominal = float(subject.variables[known].nominal or 1.0)
             yield from wrong_slopes(_Settable(model), own, known, nominal)  # type: ignore[arg-type]  # as above
         knowns = _knowns(subject)
-        yield from not_linear(model.instance, [name for name in names if name not in knowns], knowns)
+        yield from not_linear(
+            model.instance, [name for name in names if name not in knowns], knowns
+        )
 
 
 @exchange("exchange-adjoint", "adjoint derivatives are the transpose of the directional ones")
@@ -366,8 +427,14 @@ def _adjoint(subject: Subject) -> Iterator[str]:
     ask(subject, "providesDirectionalDerivatives", kind=MODEL_EXCHANGE)
     with _scalar_model(subject) as model:
         knowns = _knowns(subject)
-        unknowns = [name for name in dict.fromkeys(u.variable.name for u in _unknowns(subject)) if name not in knowns]
-        columns = np.array([model.instance.directional(unknowns, [known], [1.0]) for known in knowns])
+        unknowns = [
+            name
+            for name in dict.fromkeys(u.variable.name for u in _unknowns(subject))
+            if name not in knowns
+        ]
+        columns = np.array(
+            [model.instance.directional(unknowns, [known], [1.0]) for known in knowns]
+        )
         for name, row in zip(unknowns, columns.T, strict=True):
             found = model.instance.adjoint([name], knowns, [1.0])
             for known, a, b in zip(knowns, row, found, strict=True):
@@ -393,6 +460,11 @@ def _agrees(subject: Subject) -> Iterator[str]:
         offset_inputs(run.instance)
         other = run.steps()[1:]
     table = np.array(rows)
-    scale = AGREEMENT * np.maximum(np.ptp(table, axis=0), np.ptp(other, axis=0)) + AGREEMENT_FLOOR * np.max(np.abs(table), axis=0)
+    scale = AGREEMENT * np.maximum(
+        np.ptp(table, axis=0), np.ptp(other, axis=0)
+    ) + AGREEMENT_FLOOR * np.max(np.abs(table), axis=0)
     for k in np.flatnonzero(np.max(np.abs(table - other), axis=0) > scale):
-        yield f"{model.columns[k]}: {other[-1, k]:.6g} in Co-Simulation, {table[-1, k]:.6g} in Model Exchange"
+        yield (
+            f"{model.columns[k]}: {other[-1, k]:.6g} in Co-Simulation, {table[-1, k]:.6g} in Model"
+            " Exchange"
+        )

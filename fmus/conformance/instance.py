@@ -1,4 +1,6 @@
-"""An FMU under test and its instances, called as a host in C calls them: every status is seen, nothing is caught in between."""
+"""An FMU under test and its instances, called as a host in C calls them: every status is seen,
+nothing is caught in between.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +21,40 @@ from bristle.fmus.host import Fmu
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 TAKEN = 1  # the highest status of a call that was done: warning
-DISCARD, TERMINATED = 2, 3  # status of a step, and the question whether it asks to end the simulation: fmi2Terminated
+# status of a step, and the question whether it asks to end the simulation: fmi2Terminated
+DISCARD, TERMINATED = 2, 3
 STATUS_NAMES = ("OK", "warning", "discard", "error", "fatal", "pending")
 
 STATE = {  # get, set, free, size, serialise, deserialise
-    2: ("GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"),
-    3: ("GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"),
+    2: (
+        "GetFMUstate",
+        "SetFMUstate",
+        "FreeFMUstate",
+        "SerializedFMUstateSize",
+        "SerializeFMUstate",
+        "DeSerializeFMUstate",
+    ),
+    3: (
+        "GetFMUState",
+        "SetFMUState",
+        "FreeFMUState",
+        "SerializedFMUStateSize",
+        "SerializeFMUState",
+        "DeserializeFMUState",
+    ),
 }
-TYPES: dict[str, tuple[str, Any]] = {  # of a variable: the word in the names of the functions, and its C type
-    "Real": ("Real", c_double), "Integer": ("Integer", c_int), "Float32": ("Float32", c_float), "Float64": ("Float64", c_double),
+# of a variable: the word in the names of the functions, and its C type
+TYPES: dict[str, tuple[str, Any]] = {
+    "Real": ("Real", c_double),
+    "Integer": ("Integer", c_int),
+    "Float32": ("Float32", c_float),
+    "Float64": ("Float64", c_double),
     "String": ("String", c_char_p),
-    **{name: (name, getattr(ctypes, f"c_{name.lower()}")) for name in
-       ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")},
-}  # fmt: skip
+    **{
+        name: (name, getattr(ctypes, f"c_{name.lower()}"))
+        for name in ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+    },
+}
 REALS = ("Real", "Float32", "Float64")
 LOGGER2 = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
 LOGGER3 = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
@@ -54,15 +77,26 @@ class Notes(Protocol):
 class Callbacks(ctypes.Structure):
     """fmi2CallbackFunctions."""
 
-    _fields_ = [("logger", c_void_p), ("allocate", c_void_p), ("free", c_void_p), ("finished", c_void_p), ("environment", c_void_p)]
+    _fields_ = [
+        ("logger", c_void_p),
+        ("allocate", c_void_p),
+        ("free", c_void_p),
+        ("finished", c_void_p),
+        ("environment", c_void_p),
+    ]
 
 
 class Events2(ctypes.Structure):
     """fmi2EventInfo."""
 
     _fields_ = [
-        ("again", c_int), ("terminate", c_int), ("nominals", c_int), ("values", c_int), ("next_defined", c_int), ("next", c_double),
-    ]  # fmt: skip
+        ("again", c_int),
+        ("terminate", c_int),
+        ("nominals", c_int),
+        ("values", c_int),
+        ("next_defined", c_int),
+        ("next", c_double),
+    ]
 
 
 class Subject(Fmu):
@@ -89,22 +123,36 @@ class Subject(Fmu):
 
     @staticmethod
     def _kinds(description: Any) -> list[Any]:
-        return [kind for kind in (description.coSimulation, description.modelExchange) if kind is not None]
+        return [
+            kind
+            for kind in (description.coSimulation, description.modelExchange)
+            if kind is not None
+        ]
 
     def interface(self, kind: str) -> Any:
         """Return what the description says of an interface type, None if it is not offered."""
-        return self.description.coSimulation if kind == CO_SIMULATION else self.description.modelExchange
+        return (
+            self.description.coSimulation
+            if kind == CO_SIMULATION
+            else self.description.modelExchange
+        )
 
     @cached_property
     def _attributes(self) -> dict[str, dict[str, str]]:
         """Attributes of each interface type; FMPy does not keep all of them."""
         with zipfile.ZipFile(self.path) as archive:
             root = parsed(archive.read("modelDescription.xml"))
-        return {kind: dict(element.attrib) for kind in (CO_SIMULATION, MODEL_EXCHANGE) for element in root.iterfind(kind)}
+        return {
+            kind: dict(element.attrib)
+            for kind in (CO_SIMULATION, MODEL_EXCHANGE)
+            for element in root.iterfind(kind)
+        }
 
     def claims(self, *abilities: str, kind: str = CO_SIMULATION) -> bool:
         """Say whether the description claims one of some abilities."""
-        return any(self._attributes.get(kind, {}).get(ability) in ("true", "1") for ability in abilities)
+        return any(
+            self._attributes.get(kind, {}).get(ability) in ("true", "1") for ability in abilities
+        )
 
     @property
     def binaries(self) -> str:
@@ -117,7 +165,10 @@ class Subject(Fmu):
         """Raise BristleError if it has no library for this machine."""
         with zipfile.ZipFile(self.path) as archive:
             if not any(name.startswith(f"{self.binaries}/") for name in archive.namelist()):
-                raise BristleError(f"FMU {self.path}: no binary for this machine ({self.binaries}); export one for it")
+                raise BristleError(
+                    f"FMU {self.path}: no binary for this machine ({self.binaries}); export one"
+                    " for it"
+                )
 
     def unpack(self) -> None:
         """Unpack it into its folder.
@@ -132,7 +183,10 @@ class Subject(Fmu):
         try:
             extract(str(self.path), str(self.folder))
         except Exception as error:  # FMPy passes on what it meets
-            other = BristleError(f"FMU {self.path}: cannot be unpacked: {' '.join(str(error).split())}; pack it again")
+            other = BristleError(
+                f"FMU {self.path}: cannot be unpacked: {' '.join(str(error).split())}; pack it"
+                " again"
+            )
             raise no_room(error) or other from None
         (self.folder / "resources").mkdir(exist_ok=True)
 
@@ -140,7 +194,11 @@ class Subject(Fmu):
         """Return the path of the library of an interface type."""
         from fmpy import sharedLibraryExtension
 
-        return self.folder / self.binaries / f"{self.interface(kind).modelIdentifier}{sharedLibraryExtension}"
+        return (
+            self.folder
+            / self.binaries
+            / f"{self.interface(kind).modelIdentifier}{sharedLibraryExtension}"
+        )
 
     def load(self, kind: str = CO_SIMULATION) -> ctypes.CDLL:
         """Return the library of an interface type."""
@@ -148,7 +206,9 @@ class Subject(Fmu):
         try:  # on Windows, what it needs is also looked for beside it
             return ctypes.CDLL(str(self.library_path(kind)), winmode=8)
         except OSError as error:
-            raise CallFailed(f"its library cannot be loaded: {str(error).replace(str(self.folder), '')}") from None
+            raise CallFailed(
+                f"its library cannot be loaded: {str(error).replace(str(self.folder), '')}"
+            ) from None
 
     @cached_property
     def library(self) -> ctypes.CDLL:
@@ -159,7 +219,9 @@ class Subject(Fmu):
         """Return how many numbers a variable has."""
         number = 1
         for dimension in self.variables[name].dimensions or ():
-            number *= int(dimension.start if dimension.start is not None else dimension.variable.start)
+            number *= int(
+                dimension.start if dimension.start is not None else dimension.variable.start
+            )
         return number
 
     def scalars(self, *causalities: str, kinds: Sequence[str] = REALS) -> list[str]:
@@ -216,7 +278,9 @@ class Instance:
         If it is not made.
     """
 
-    def __init__(self, subject: Subject, options: Options = USUAL, library: ctypes.CDLL | None = None) -> None:
+    def __init__(
+        self, subject: Subject, options: Options = USUAL, library: ctypes.CDLL | None = None
+    ) -> None:
         self.subject, self.fmi, self.kind = subject, subject.fmi, options.kind
         self.messages: list[tuple[int, str, str]] = []
         same = options.kind == CO_SIMULATION
@@ -230,21 +294,44 @@ class Instance:
 
         log2 = LOGGER2(lambda _, name, status, category, text: self._log(status, category, text))
         log3 = LOGGER3(lambda _, status, category, text: self._log(status, category, text))
-        self._logger = log2 if self.fmi == 2 else log3  # the FMU calls it; ctypes must not collect it
+        # the FMU calls it; ctypes must not collect it
+        self._logger = log2 if self.fmi == 2 else log3
         logger = ctypes.cast(self._logger, c_void_p) if options.logger else c_void_p(None)
         given = self.subject.description
-        token = str(given.guid or given.instantiationToken).encode() if options.token is None else options.token
+        token = (
+            str(given.guid or given.instantiationToken).encode()
+            if options.token is None
+            else options.token
+        )
         where = options.resources or self.subject.folder / "resources"
         if self.fmi == 2:
             memory = (ctypes.cast(each, c_void_p) for each in (calloc, free))
             self._callbacks = Callbacks(logger, *memory, None, None)
             kind = 1 if options.kind == CO_SIMULATION else 0
-            arguments = (options.name, kind, token, where.as_uri().encode(), byref(self._callbacks), 0, options.logging)
+            arguments = (
+                options.name,
+                kind,
+                token,
+                where.as_uri().encode(),
+                byref(self._callbacks),
+                0,
+                options.logging,
+            )
             return self._handle("fmi2Instantiate", *arguments)
         resources = str(where).encode() + os.sep.encode()
         middle = (options.event_mode, False, None, 0) if options.kind == CO_SIMULATION else ()
         end = (None,) if options.kind == CO_SIMULATION else ()
-        arguments3 = (options.name, token, resources, False, options.logging, *middle, None, logger, *end)
+        arguments3 = (
+            options.name,
+            token,
+            resources,
+            False,
+            options.logging,
+            *middle,
+            None,
+            logger,
+            *end,
+        )
         return self._handle(f"fmi3Instantiate{options.kind}", *arguments3)
 
     def _handle(self, name: str, *arguments: Any) -> int | None:
@@ -255,7 +342,13 @@ class Instance:
         return handle
 
     def _log(self, status: int, category: bytes | None, text: bytes | None) -> None:
-        self.messages.append((status, (category or b"").decode("utf-8", "replace"), (text or b"").decode("utf-8", "replace")))
+        self.messages.append(
+            (
+                status,
+                (category or b"").decode("utf-8", "replace"),
+                (text or b"").decode("utf-8", "replace"),
+            )
+        )
 
     def last_message(self) -> str:
         """Return the last message that it logged, after a colon, or nothing."""
@@ -285,10 +378,16 @@ class Instance:
         """
         status = self.call(name, *arguments)
         if status > TAKEN or status < 0:
-            word = STATUS_NAMES[status] if status in range(len(STATUS_NAMES)) else "which FMI does not have"
-            raise CallFailed(f"fmi{self.fmi}{name} has status {status} ({word}){self.last_message()}")
+            word = (
+                STATUS_NAMES[status]
+                if status in range(len(STATUS_NAMES))
+                else "which FMI does not have"
+            )
+            raise CallFailed(
+                f"fmi{self.fmi}{name} has status {status} ({word}){self.last_message()}"
+            )
 
-    # -- states of its life ----------------------------------------------------------------------------------------------
+    # -- states of its life ------------------------------------------------------------------------
 
     def enter(self, start: float = 0.0) -> None:
         """Go to initialisation mode."""
@@ -325,7 +424,8 @@ class Instance:
             raise Ended(f"it asks to end the simulation in the step from {t:g} s")
         if status > TAKEN:
             raise CallFailed(
-                f"the step from {t:g} s to {t + h:g} s has status {status} ({STATUS_NAMES[status % 6]}){self.last_message()}"
+                f"the step from {t:g} s to {t + h:g} s has status {status}"
+                f" ({STATUS_NAMES[status % 6]}){self.last_message()}"
             )
 
     def asks_to_end(self, status: int) -> bool:
@@ -333,7 +433,11 @@ class Instance:
         if self.fmi == 3:
             return bool(self.flags[1])
         answer = c_int(0)
-        return status == DISCARD and self.call("GetBooleanStatus", TERMINATED, byref(answer)) <= TAKEN and bool(answer.value)
+        return (
+            status == DISCARD
+            and self.call("GetBooleanStatus", TERMINATED, byref(answer)) <= TAKEN
+            and bool(answer.value)
+        )
 
     def free(self) -> None:
         """Free it."""
@@ -351,10 +455,12 @@ class Instance:
         if kind is None:  # one that was left by an error may be in any state; its process ends
             self.free()
 
-    # -- values ----------------------------------------------------------------------------------------------------------
+    # -- values ------------------------------------------------------------------------------------
 
     def access(self, verb: str, reference: int, kind: str, values: Any) -> int:
-        """Call the getter or setter of a type for one variable and return its status; `values` is an array of C."""
+        """Call the getter or setter of a type for one variable and return its status; `values` is
+        an array of C.
+        """
         word = self.subject.typed(kind)[0]
         count = (len(values),) if self.fmi == 3 else ()
         return self.call(f"{verb}{word}", byref(c_uint(reference)), 1, values, *count)
@@ -373,7 +479,9 @@ class Instance:
         return self.access("Set", self.subject.reference(name), kind, values)
 
     def many(self, verb: str, names: Sequence[str], values: Any) -> int:
-        """Call the getter or setter of real numbers for several variables at once and return its status."""
+        """Call the getter or setter of real numbers for several variables at once and return its
+        status.
+        """
         word = "Real" if self.fmi == 2 else "Float64"
         count = (len(values),) if self.fmi == 3 else ()
         return self.call(f"{verb}{word}", self.references(names), len(names), values, *count)
@@ -392,7 +500,10 @@ class Instance:
         """
         status, values = self.read(name)
         if status > TAKEN:
-            raise CallFailed(f"{name} cannot be read: status {status} ({STATUS_NAMES[status % 6]}){self.last_message()}")
+            raise CallFailed(
+                f"{name} cannot be read: status {status}"
+                f" ({STATUS_NAMES[status % 6]}){self.last_message()}"
+            )
         return values
 
     def number(self, name: str) -> float:
@@ -405,7 +516,7 @@ class Instance:
         self.do(name, values, n)
         return list(values)
 
-    # -- its whole state -------------------------------------------------------------------------------------------------
+    # -- its whole state ---------------------------------------------------------------------------
 
     def get_state(self, state: c_void_p | None = None) -> c_void_p:
         """Return its state, in an old one if that is given."""
@@ -432,18 +543,38 @@ class Instance:
     def deserialise(self, data: bytes) -> c_void_p:
         """Return the state of some bytes."""
         state = c_void_p(None)
-        self.do(STATE[self.fmi][5], ctypes.create_string_buffer(data, len(data)), len(data), byref(state))
+        self.do(
+            STATE[self.fmi][5],
+            ctypes.create_string_buffer(data, len(data)),
+            len(data),
+            byref(state),
+        )
         return state
 
-    def directional(self, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float]) -> list[float]:
-        """Return the directional derivative of some variables; `seed` has a number for each known one."""
+    def directional(
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float]
+    ) -> list[float]:
+        """Return the directional derivative of some variables; `seed` has a number for each known
+        one.
+        """
         return self._derivative("GetDirectionalDerivative", unknowns, knowns, seed, len(unknowns))
 
-    def adjoint(self, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float]) -> list[float]:
-        """Return the adjoint derivative by some variables, in FMI 3; `seed` has a number for each unknown one."""
+    def adjoint(
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float]
+    ) -> list[float]:
+        """Return the adjoint derivative by some variables, in FMI 3; `seed` has a number for each
+        unknown one.
+        """
         return self._derivative("GetAdjointDerivative", unknowns, knowns, seed, len(knowns))
 
-    def _derivative(self, name: str, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float], n: int) -> list[float]:
+    def _derivative(
+        self,
+        name: str,
+        unknowns: Sequence[str],
+        knowns: Sequence[str],
+        seed: Sequence[float],
+        n: int,
+    ) -> list[float]:
         seeds, out = (c_double * len(seed))(*seed), (c_double * n)()
         given = (self.references(unknowns), len(unknowns), self.references(knowns), len(knowns))
         self.do(name, *given, *((seeds, len(seed), out, n) if self.fmi == 3 else (seeds, out)))

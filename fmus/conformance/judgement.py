@@ -13,7 +13,8 @@ from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
 
 
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
-    """Return the result of each point for an FMU: of its archive, libraries and description, then of its behaviour.
+    """Return the result of each point for an FMU: of its archive, libraries and description, then
+    of its behaviour.
 
     Parameters
     ----------
@@ -38,7 +39,10 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
         rows = examined(path, tell)
     except BristleError as error:
         rows = read_alone(path)
-        rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
+        rows += [
+            {"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]}
+            for name in BEHAVIOUR
+        ]
     found = {row["id"]: row for row in rows}
     every: list[Point | BehaviourPoint] = [*POINTS.values(), *points]
     return [_result(point, found[point.id]) for point in every]

@@ -10,17 +10,26 @@ from typing import Any
 
 SUFFIXES = (".so", ".dll", ".dylib")
 MACHINE_WORDS = {  # words of LIEF, by format
-    "X86_64": "x86_64", "AMD64": "x86_64", "I386": "x86", "X86": "x86", "AARCH64": "aarch64", "ARM64": "aarch64", "ARM": "aarch32",
+    "X86_64": "x86_64",
+    "AMD64": "x86_64",
+    "I386": "x86",
+    "X86": "x86",
+    "AARCH64": "aarch64",
+    "ARM64": "aarch64",
+    "ARM": "aarch32",
     "ARMNT": "aarch32",
-}  # fmt: skip
-MACHO = (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # 64 bits, 32 bits, several machines
+}
+# 64 bits, 32 bits, several machines
+MACHO = (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 GLIBC = re.compile(r"GLIBC_(\d+)\.(\d+)")
 PYTHON = re.compile(r"_?(Py[A-Z_]|_Py_)\w+")
 
 
 @dataclass(frozen=True)
 class Library:
-    """A library: its entry, folder and stem, format (elf, pe, macho; empty for none of them) and what its headers say."""
+    """A library: its entry, folder and stem, format (elf, pe, macho; empty for none of them) and
+    what its headers say.
+    """
 
     name: str
     folder: str
@@ -74,8 +83,16 @@ def _elf(part: Any) -> dict[str, Any]:
     tag = lief.ELF.DynamicEntry.TAG
     searched = [e for e in part.dynamic_entries if e.tag in (tag.RPATH, tag.RUNPATH)]
     stack = [s for s in part.segments if s.type == lief.ELF.Segment.TYPE.GNU_STACK]
-    flags = [e for e in part.dynamic_entries if e.tag == tag.FLAGS and lief.ELF.DynamicEntryFlags.FLAG.TEXTREL in e]
-    versions = [GLIBC.fullmatch(a.name) for r in part.symbols_version_requirement for a in r.get_auxiliary_symbols()]
+    flags = [
+        e
+        for e in part.dynamic_entries
+        if e.tag == tag.FLAGS and lief.ELF.DynamicEntryFlags.FLAG.TEXTREL in e
+    ]
+    versions = [
+        GLIBC.fullmatch(a.name)
+        for r in part.symbols_version_requirement
+        for a in r.get_auxiliary_symbols()
+    ]
     return {
         "machine": _machine(part.header.machine_type),
         "exported": frozenset(s.name for s in part.exported_symbols),
@@ -90,7 +107,11 @@ def _elf(part: Any) -> dict[str, Any]:
 
 def _pe(part: Any) -> dict[str, Any]:
     exported = [e.name for e in part.get_export().entries] if part.has_exports else []
-    return {"machine": _machine(part.header.machine), "exported": frozenset(exported), "needed": tuple(part.libraries)}
+    return {
+        "machine": _machine(part.header.machine),
+        "exported": frozenset(exported),
+        "needed": tuple(part.libraries),
+    }
 
 
 def _macho(part: Any) -> dict[str, Any]:

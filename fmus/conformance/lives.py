@@ -1,4 +1,6 @@
-"""Points of instances: their lives, several at once, what they leave behind, and where they are unpacked."""
+"""Points of instances: their lives, several at once, what they leave behind, and where they are
+unpacked.
+"""
 
 from __future__ import annotations
 
@@ -136,10 +138,12 @@ def _threads(subject: Subject) -> Iterator[str]:
         for thread in threads:
             thread.join()
         for rows in found:
-            yield from ["a thread failed"] if rows is None else differing(runs[0].columns, expected, rows)
+            yield from (
+                ["a thread failed"] if rows is None else differing(runs[0].columns, expected, rows)
+            )
 
 
-# -- what they leave behind ----------------------------------------------------------------------------------------------
+# -- what they leave behind ------------------------------------------------------------------------
 
 
 class _Mallinfo(ctypes.Structure):
@@ -147,12 +151,25 @@ class _Mallinfo(ctypes.Structure):
 
     _fields_ = [
         (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "mapped", "usmblks", "fsmblks", "used", "fordblks", "keepcost")
-    ]  # fmt: skip
+        for name in (
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "mapped",
+            "usmblks",
+            "fsmblks",
+            "used",
+            "fordblks",
+            "keepcost",
+        )
+    ]
 
 
 def _ask_allocated() -> Callable[[], int]:
-    """Return a function that gives the bytes that are allocated, or NotApplicable where the C library does not tell."""
+    """Return a function that gives the bytes that are allocated, or NotApplicable where the C
+    library does not tell.
+    """
     question = getattr(ctypes.CDLL(None), "mallinfo2", None)
     if question is None:
         raise NotApplicable("the C library does not say how much memory is allocated")
@@ -206,7 +223,9 @@ def _memory(subject: Subject) -> Iterator[str]:
         yield f"{grown / LIVES:.0f} bytes a life"
 
 
-@behaviour("run-freed", "allocated memory does not grow from instance to instance", Severity.warning)
+@behaviour(
+    "run-freed", "allocated memory does not grow from instance to instance", Severity.warning
+)
 def _freed(subject: Subject) -> Iterator[str]:
     ask_several(subject)
     grown = _grown(lambda: _new_life(subject), _ask_allocated())
@@ -214,7 +233,11 @@ def _freed(subject: Subject) -> Iterator[str]:
         yield f"{grown / LIVES:.0f} bytes an instance"
 
 
-@behaviour("run-states-freed", "allocated memory does not grow with states that are stored and freed", Severity.warning)
+@behaviour(
+    "run-states-freed",
+    "allocated memory does not grow with states that are stored and freed",
+    Severity.warning,
+)
 def _states_freed(subject: Subject) -> Iterator[str]:
     ask(subject, *STORE)
     used = _ask_allocated()
@@ -250,7 +273,9 @@ def _environment() -> dict[str, str]:
         "locale": (library.setlocale(6, None) or b"").decode(),  # LC_ALL of glibc
         "file mode mask": oct(files),
         "rounding": str(_rounding()),
-        "subnormal numbers": "kept" if float(np.float64(1e-310) * np.float64(0.5)) > 0 else "flushed to zero",
+        "subnormal numbers": "kept"
+        if float(np.float64(1e-310) * np.float64(0.5)) > 0
+        else "flushed to zero",
     }
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(("SigBlk", "SigIgn", "SigCgt")):
@@ -266,13 +291,21 @@ def _rounding() -> int:
         return 0
 
 
-@behaviour("run-environment", "it leaves directory, locale, signals and floating-point modes of its host alone", Severity.warning)
+@behaviour(
+    "run-environment",
+    "it leaves directory, locale, signals and floating-point modes of its host alone",
+    Severity.warning,
+)
 def _surroundings(subject: Subject) -> Iterator[str]:
     _ask_proc()
     before = _environment()
     fresh(subject)
     after = _environment()
-    yield from (f"{name}: {before[name]} became {after[name]}" for name in before if before[name] != after[name])
+    yield from (
+        f"{name}: {before[name]} became {after[name]}"
+        for name in before
+        if before[name] != after[name]
+    )
 
 
 def _files(folder: Path) -> dict[str, tuple[int, int]]:
@@ -284,7 +317,9 @@ def _files(folder: Path) -> dict[str, tuple[int, int]]:
     return found
 
 
-@behaviour("run-files", "it writes no files beside its host's or into its own folder", Severity.warning)
+@behaviour(
+    "run-files", "it writes no files beside its host's or into its own folder", Severity.warning
+)
 def _no_files(subject: Subject) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as place:
         moved = _moved(subject, Path(place) / "fmu")
@@ -305,12 +340,16 @@ def _moved(subject: Subject, folder: Path) -> Subject:
     return Subject(subject.path, folder, subject.note)
 
 
-@behaviour("run-folder", "it runs from a folder with spaces and other scripts in its name, read-only")
+@behaviour(
+    "run-folder", "it runs from a folder with spaces and other scripts in its name, read-only"
+)
 def _folder(subject: Subject) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as place:
         moved = _moved(subject, Path(place) / "an FMU ü µ 中 50%")
         for path in moved.folder.rglob("*"):
-            path.chmod(0o555 if path.is_dir() or path.is_relative_to(moved.folder / "binaries") else 0o444)
+            path.chmod(
+                0o555 if path.is_dir() or path.is_relative_to(moved.folder / "binaries") else 0o444
+            )
         try:
             with Run(subject) as run:
                 yield from differing(run.columns, fresh(subject), fresh(moved))

@@ -1,4 +1,5 @@
-"""Judging points in processes of their own: one unpacks the FMU and forks another for each point of behaviour.
+"""Judging points in processes of their own: one unpacks the FMU and forks another for each point of
+behaviour.
 
 Where there is no fork, each point has a process from the start, which unpacks the FMU.
 """
@@ -26,12 +27,14 @@ from bristle.fmus.conformance.registry import POINTS, Verdict, static_conformanc
 from bristle.fmus.conformance.running import BEHAVIOUR, NotApplicable
 from bristle.fmus.isolate import isolated
 
-NOTE_SIZE = 64  # bytes of memory that the processes share, for the name of the call that is under way
+# bytes of memory that the processes share, for the name of the call that is under way
+NOTE_SIZE = 64
 FORK_POLL = 0.003  # s between two looks at the processes
 MOST_AT_ONCE = 4  # points that run at a time
 READING_SECONDS = 60.0  # s that all points of archive, libraries and description may take
 MOST_SECONDS = 900.0  # s that all points of an FMU may take
-LIFE = {CO_SIMULATION: "run-life", MODEL_EXCHANGE: "exchange-life"}  # where they fail, nothing more can be tested
+# where they fail, nothing more can be tested
+LIFE = {CO_SIMULATION: "run-life", MODEL_EXCHANGE: "exchange-life"}
 
 Row = dict[str, Any]  # id of a point, verdict, findings
 Subjects = Callable[[Path], Subject]
@@ -60,7 +63,9 @@ class Reading:
 
 @dataclass(frozen=True)
 class Task:
-    """A point of behaviour to judge for an FMU, with what is added to the environment of its process."""
+    """A point of behaviour to judge for an FMU, with what is added to the environment of its
+    process.
+    """
 
     path: Path
     point: str
@@ -104,7 +109,9 @@ def _row(name: str, verdict: Verdict, findings: Sequence[str]) -> Row:
 
 
 def judged(tasks: Sequence[Task]) -> list[Row]:
-    """Return a row for each task: the verdict with what was found, or why it does not apply; a crash or a hang is a finding."""
+    """Return a row for each task: the verdict with what was found, or why it does not apply; a
+    crash or a hang is a finding.
+    """
     return _with_runner(_run_tasks, tasks, list(dict.fromkeys(task.path for task in tasks)), None)
 
 
@@ -124,24 +131,38 @@ def _run_all(run: Runner, path: Path) -> list[Row]:
     rows = run([Task(path, name) for name in LIFE.values()])
     dead = {row["id"] for row in rows if row["verdict"] == Verdict.failed}
     rest = [point for point in BEHAVIOUR.values() if point.id not in LIFE.values()]
-    rows += run([Reading(path), *(Task(path, point.id) for point in rest if LIFE[point.kind] not in dead)])
-    return rows + [_row(p.id, Verdict.not_tested, [f"{LIFE[p.kind]} fails"]) for p in rest if LIFE[p.kind] in dead]
+    rows += run(
+        [Reading(path), *(Task(path, point.id) for point in rest if LIFE[point.kind] not in dead)]
+    )
+    return rows + [
+        _row(p.id, Verdict.not_tested, [f"{LIFE[p.kind]} fails"])
+        for p in rest
+        if LIFE[p.kind] in dead
+    ]
 
 
 def _with_runner(
-    work: Callable[[Runner, Any], list[Row]], argument: Any, paths: list[Path], progress: Callable[[int], None] | None
+    work: Callable[[Runner, Any], list[Row]],
+    argument: Any,
+    paths: list[Path],
+    progress: Callable[[int], None] | None,
 ) -> list[Row]:
     """Do work that runs jobs, in a process that forks, or, where there is no fork, in this one."""
     if not hasattr(os, "fork"):
         return work(partial(_run_alone, progress), argument)
-    return isolated(_fork_all, (work, argument, running.POINT_SECONDS), paths, _rows, progress, MOST_SECONDS)
+    return isolated(
+        _fork_all, (work, argument, running.POINT_SECONDS), paths, _rows, progress, MOST_SECONDS
+    )
 
 
 def _rows(answer: Any) -> list[Row]:
-    return [_row(str(row["id"]), Verdict(row["verdict"]), [str(finding) for finding in row["findings"]]) for row in answer]
+    return [
+        _row(str(row["id"]), Verdict(row["verdict"]), [str(finding) for finding in row["findings"]])
+        for row in answer
+    ]
 
 
-# -- without forks -------------------------------------------------------------------------------------------------------
+# -- without forks ---------------------------------------------------------------------------------
 
 
 def _run_alone(progress: Callable[[int], None] | None, jobs: Sequence[Job]) -> list[Row]:
@@ -157,7 +178,9 @@ def _run_alone(progress: Callable[[int], None] | None, jobs: Sequence[Job]) -> l
 
 
 def read_alone(path: Path) -> list[Row]:
-    """Return a row for each point of archive, libraries and description; raise `BristleError` if the file cannot be read."""
+    """Return a row for each point of archive, libraries and description; raise `BristleError` if
+    the file cannot be read.
+    """
     return isolated(_alone, Reading(path), [path], _rows, None, READING_SECONDS)
 
 
@@ -179,10 +202,12 @@ class _Unpacked:
         return self.known[path]
 
 
-# -- with forks ----------------------------------------------------------------------------------------------------------
+# -- with forks ------------------------------------------------------------------------------------
 
 
-def _fork_all(work: tuple[Callable[[Runner, Any], list[Row]], Any, float], control: Control) -> list[Row]:
+def _fork_all(
+    work: tuple[Callable[[Runner, Any], list[Row]], Any, float], control: Control
+) -> list[Row]:
     """Do work whose jobs have a fork each."""
     function, argument, running.POINT_SECONDS = work
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -235,7 +260,10 @@ class _Fork:
                 subject.note = self._write_note
             write_answer(self.answer, self.job.rows(subjects))
         except Exception as error:  # a fault of ours, too, is to be seen
-            write_answer(self.answer, self.job.lost(f"{type(error).__name__}: {' '.join(str(error).split())}"))
+            write_answer(
+                self.answer,
+                self.job.lost(f"{type(error).__name__}: {' '.join(str(error).split())}"),
+            )
         finally:
             os._exit(0)
 
@@ -250,10 +278,14 @@ class _Fork:
         if now - self.begun > self.job.seconds:
             return self.job.seconds
         longest = self.job.step_seconds
-        return longest if longest and call.endswith("DoStep") and now - self.since > longest else None
+        return (
+            longest if longest and call.endswith("DoStep") and now - self.since > longest else None
+        )
 
     def rows(self) -> list[Row] | None:
-        """Return its answer, or what is to be said in place of it, once it has ended or is too late; None before."""
+        """Return its answer, or what is to be said in place of it, once it has ended or is too
+        late; None before.
+        """
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         late = self._late()
         if not pid and late is None:
@@ -266,7 +298,11 @@ class _Fork:
         self.note.close()
         answer = read_answer(self.answer)
         self.answer.unlink(missing_ok=True)
-        return answer if isinstance(answer, list) else self.job.lost(self._why(late if not pid else None, status))
+        return (
+            answer
+            if isinstance(answer, list)
+            else self.job.lost(self._why(late if not pid else None, status))
+        )
 
     def _why(self, late: float | None, status: int) -> str:
         during = f" during {self.call}" if self.call else ""

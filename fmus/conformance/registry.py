@@ -40,7 +40,9 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Package:
-    """An FMU as an archive: its path, its entries, and the root element of modelDescription.xml (None if it has none)."""
+    """An FMU as an archive: its path, its entries, and the root element of modelDescription.xml
+    (None if it has none).
+    """
 
     path: Path
     entries: tuple[zipfile.ZipInfo, ...]
@@ -52,7 +54,9 @@ class Package:
         return [entry.filename for entry in self.entries]
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of an entry; none if it cannot be unpacked or is larger than LARGEST_READ."""
+        """Return the bytes of an entry; none if it cannot be unpacked or is larger than
+        LARGEST_READ.
+        """
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
                 data = file.read(LARGEST_READ + 1)
@@ -78,18 +82,31 @@ class Package:
     @cached_property
     def libraries(self) -> tuple[Library, ...]:
         """The libraries of all platforms."""
-        names = [n for entries in self.binary_folders.values() for n in entries if n.count("/") == 2 and n.endswith(SUFFIXES)]
-        return tuple(each for name in dict.fromkeys(names) for each in libraries(name, self.read(name)))
+        names = [
+            n
+            for entries in self.binary_folders.values()
+            for n in entries
+            if n.count("/") == 2 and n.endswith(SUFFIXES)
+        ]
+        return tuple(
+            each for name in dict.fromkeys(names) for each in libraries(name, self.read(name))
+        )
 
     @property
     def identifiers(self) -> list[str]:
         """The modelIdentifier of each interface type, empty where there is none."""
         kinds = ("CoSimulation", "ModelExchange", "ScheduledExecution")
-        return [str(each.get("modelIdentifier", "")) for kind in kinds for each in self.root.findall(kind)]
+        return [
+            str(each.get("modelIdentifier", ""))
+            for kind in kinds
+            for each in self.root.findall(kind)
+        ]
 
     @property
     def variables(self) -> list[tuple[Any, Any]]:
-        """For each variable the element with its name, and the one with its type and start (in FMI 3 the same)."""
+        """For each variable the element with its name, and the one with its type and start (in FMI
+        3 the same).
+        """
         three = self.fmi == 3
         found = [v for v in self.root.iterfind("ModelVariables/*") if isinstance(v.tag, str)]
         return [(v, v if three else v[0]) for v in found if three or len(v)]
@@ -121,7 +138,9 @@ class Result:
 POINTS: dict[str, Point] = {}
 
 
-def point(name: str, title: str, severity: Severity = Severity.error, *, description: bool = True) -> Callable[[Judge], Judge]:
+def point(
+    name: str, title: str, severity: Severity = Severity.error, *, description: bool = True
+) -> Callable[[Judge], Judge]:
     """Enter a function into the registry; `description`: it reads modelDescription.xml."""
 
     def enter(judge: Judge) -> Judge:
@@ -164,7 +183,9 @@ def static_conformance(path: Path) -> list[Result]:
     except OSError as error:
         raise BristleError(f"FMU {path}: {error.strerror}; check the path") from None
     except zipfile.BadZipFile:
-        raise BristleError(f"FMU {path}: not a zip archive, or a damaged one; give an .fmu file") from None
+        raise BristleError(
+            f"FMU {path}: not a zip archive, or a damaged one; give an .fmu file"
+        ) from None
     except (ValueError, NotImplementedError, RuntimeError):
         root = None
     package = Package(path, entries, root)

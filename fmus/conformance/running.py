@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.fmus.conformance.instance import CO_SIMULATION, USUAL, CallFailed, Instance, Options, Subject
+from bristle.fmus.conformance.instance import (
+    CO_SIMULATION,
+    USUAL,
+    CallFailed,
+    Instance,
+    Options,
+    Subject,
+)
 from bristle.fmus.conformance.registry import Severity
 from bristle.fmus.difference import USUAL_STEPS
 
@@ -20,7 +27,8 @@ POINT_SECONDS = 10.0  # s that a point may take
 STEPS = 20  # steps that the points run
 USUAL_STEP = 1e-3  # s, where the FMU states no time at all
 INPUT_SHARE = 0.1  # of an input's nominal value or start, by which runs move it
-PARAMETER_SHARE = 1e-3  # of a parameter's start, by which runs move it that ask whether parameters are kept apart
+# of a parameter's start, by which runs move it that ask whether parameters are kept apart
+PARAMETER_SHARE = 1e-3
 INPUT_TURN = 0.7  # rad a step, of the sine that moves the inputs
 
 
@@ -30,7 +38,8 @@ class NotApplicable(BristleError):
 
 @dataclass(frozen=True)
 class BehaviourPoint:
-    """One point: id, title, severity, the interface type that it runs, the function that gives what it finds.
+    """One point: id, title, severity, the interface type that it runs, the function that gives what
+    it finds.
 
     `step_seconds`: time [s] that a step may take, where that is less than the time of a point.
     """
@@ -47,9 +56,16 @@ BEHAVIOUR: dict[str, BehaviourPoint] = {}
 
 
 def behaviour(
-    name: str, title: str, severity: Severity = Severity.error, *, kind: str = CO_SIMULATION, step_seconds: float | None = None
+    name: str,
+    title: str,
+    severity: Severity = Severity.error,
+    *,
+    kind: str = CO_SIMULATION,
+    step_seconds: float | None = None,
 ) -> Callable[[Judge], Judge]:
-    """Enter a function into the registry; `step_seconds` that a step may take, by default the whole time of the point."""
+    """Enter a function into the registry; `step_seconds` that a step may take, by default the whole
+    time of the point.
+    """
 
     def enter(judge: Judge) -> Judge:
         BEHAVIOUR[name] = BehaviourPoint(name, title, severity, kind, judge, step_seconds)
@@ -71,14 +87,24 @@ def ask_several(subject: Subject, kind: str = CO_SIMULATION) -> None:
 
 
 def numbers(subject: Subject, causality: str = "output") -> list[str]:
-    """Return the variables of a causality that are numbers or Booleans and can be read at any time."""
-    return [name for name in subject.names(causality) if subject.is_accessible(name) and subject.variables[name].type != "String"]
+    """Return the variables of a causality that are numbers or Booleans and can be read at any
+    time.
+    """
+    return [
+        name
+        for name in subject.names(causality)
+        if subject.is_accessible(name) and subject.variables[name].type != "String"
+    ]
 
 
 def default_step(subject: Subject) -> float:
-    """Return the step size [s] of runs: that of the default experiment, or the internal one, or a share of the experiment."""
+    """Return the step size [s] of runs: that of the default experiment, or the internal one, or a
+    share of the experiment.
+    """
     given = subject.description.defaultExperiment
-    step = getattr(given, "stepSize", None) or getattr(subject.description.coSimulation, "fixedInternalStepSize", None)
+    step = getattr(given, "stepSize", None) or getattr(
+        subject.description.coSimulation, "fixedInternalStepSize", None
+    )
     if step and float(step) > 0:
         return float(step)
     start, stop = times(subject)
@@ -86,7 +112,9 @@ def default_step(subject: Subject) -> float:
 
 
 def times(subject: Subject) -> tuple[float, float | None]:
-    """Return start and stop [s] of the default experiment; None where it states no stop after the start."""
+    """Return start and stop [s] of the default experiment; None where it states no stop after the
+    start.
+    """
     given = subject.description.defaultExperiment
     start = float(getattr(given, "startTime", None) or 0.0)
     stop = getattr(given, "stopTime", None)
@@ -116,7 +144,9 @@ def moved_inputs(subject: Subject) -> dict[str, tuple[float, float]]:
 
 
 def offset_inputs(instance: Instance) -> None:
-    """Set real inputs apart from their start values; an FMU may refuse what it does not know as its range."""
+    """Set real inputs apart from their start values; an FMU may refuse what it does not know as its
+    range.
+    """
     for name, (start, size) in moved_inputs(instance.subject).items():
         instance.write(name, [within(instance.subject, name, start + size)])
 
@@ -143,13 +173,19 @@ class Run:
         self.instance.leave()
 
     def tune(self, *causalities: str) -> dict[str, float]:
-        """Move real parameters a little, or variables of other causalities; return the values that were taken."""
+        """Move real parameters a little, or variables of other causalities; return the values that
+        were taken.
+        """
         taken = {}
         for name in self.subject.scalars(*(causalities or ("parameter",))):
             v = self.subject.variables[name]
             if v.start is not None:
                 start = float(v.start)
-                value = within(self.subject, name, start + PARAMETER_SHARE * (abs(start) or float(v.nominal or 1.0)))
+                value = within(
+                    self.subject,
+                    name,
+                    start + PARAMETER_SHARE * (abs(start) or float(v.nominal or 1.0)),
+                )
                 if not refused(self.instance.write(name, [value])):
                     taken[name] = value
         return taken
@@ -194,7 +230,9 @@ class Run:
 
 
 def tuned(subject: Subject, options: Options = USUAL) -> Run:
-    """Return a run, begun, whose real parameters differ a little from their start values, where the FMU takes that."""
+    """Return a run, begun, whose real parameters differ a little from their start values, where the
+    FMU takes that.
+    """
     run = Run(subject, options)
     try:
         run.tune()
@@ -215,7 +253,9 @@ def fresh(subject: Subject, options: Options = USUAL, n: int = STEPS) -> Array:
 def differing(names: Sequence[str], expected: Array, found: Array) -> Iterator[str]:
     """Give the outputs that differ in any bit, and where first."""
     for name, a, b in zip(names, expected.T, found.T, strict=True):
-        k = np.flatnonzero(np.ascontiguousarray(a).view(np.int64) != np.ascontiguousarray(b).view(np.int64))
+        k = np.flatnonzero(
+            np.ascontiguousarray(a).view(np.int64) != np.ascontiguousarray(b).view(np.int64)
+        )
         if len(k):
             yield f"{name}: {b[k[0]]:.17g} instead of {a[k[0]]:.17g} after {k[0]} steps"
 

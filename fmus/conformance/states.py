@@ -52,7 +52,10 @@ def _state(subject: Subject) -> Iterator[str]:
         run.instance.free_state(state)
 
 
-@behaviour("run-state-again", "a stored state can be set several times, after a reset, too, and be filled again")
+@behaviour(
+    "run-state-again",
+    "a stored state can be set several times, after a reset, too, and be filled again",
+)
 def _state_again(subject: Subject) -> Iterator[str]:
     ask(subject, *STORE)
     with _begun(subject) as run:
@@ -95,7 +98,9 @@ def _process(subject: Subject) -> Iterator[str]:
         yield from _elsewhere(run, run.steps(), data, place)
 
 
-@behaviour("run-uninitialised", "it gives the same digits where memory that it allocates is not zero")
+@behaviour(
+    "run-uninitialised", "it gives the same digits where memory that it allocates is not zero"
+)
 def _uninitialised(subject: Subject) -> Iterator[str]:
     with Run(subject) as run:
         run.begin()
@@ -104,14 +109,37 @@ def _uninitialised(subject: Subject) -> Iterator[str]:
 
 
 def _elsewhere(
-    run: Run, expected: Array, data: bytes, place: tuple[float, int], environment: Mapping[str, str] = EMPTY
+    run: Run,
+    expected: Array,
+    data: bytes,
+    place: tuple[float, int],
+    environment: Mapping[str, str] = EMPTY,
 ) -> Iterator[str]:
-    """Give what differs in another process, which continues from a state as bytes, or begins where there is none."""
+    """Give what differs in another process, which continues from a state as bytes, or begins where
+    there is none.
+    """
     with tempfile.TemporaryDirectory() as folder:
         work, answer = Path(folder, "work"), Path(folder, "answer")
-        write_answer(work, [str(run.subject.path), str(run.subject.folder), np.frombuffer(data, dtype=np.uint8), list(place)])
-        command = [sys.executable, "-P", "-c", f"from {__name__} import continued; continued()", str(work), str(answer)]
-        subprocess.run(command, check=False, stdin=subprocess.DEVNULL, env={**os.environ, **environment})
+        write_answer(
+            work,
+            [
+                str(run.subject.path),
+                str(run.subject.folder),
+                np.frombuffer(data, dtype=np.uint8),
+                list(place),
+            ],
+        )
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            f"from {__name__} import continued; continued()",
+            str(work),
+            str(answer),
+        ]
+        subprocess.run(
+            command, check=False, stdin=subprocess.DEVNULL, env={**os.environ, **environment}
+        )
         found = read_answer(answer)
     if found is None:
         yield "the other process ends without an answer"
@@ -122,7 +150,9 @@ def _elsewhere(
 
 
 def continued() -> None:
-    """Continue in this process from a state of another one; the program's arguments are the files of task and answer."""
+    """Continue in this process from a state of another one; the program's arguments are the files
+    of task and answer.
+    """
     work, answer = map(Path, sys.argv[1:3])
     path, folder, data, (t, k) = read_answer(work)
     try:

@@ -24,7 +24,8 @@ from bristle.fmus.conformance.running import (
 
 MOST_STEPS = 2000  # of the default experiment that are run
 LONG_STEPS = 10  # long steps, for step sizes and splits
-MULTIPLE, SPLIT = 4, 2  # usual step sizes that a long step has, where it is halved twice, and where it is split unevenly
+# usual step sizes that a long step has, where it is halved twice, and where it is split unevenly
+MULTIPLE, SPLIT = 4, 2
 DIVERGENCE = 1.5  # by which differences may grow where steps become half as long
 SMALL_SHARE = 1e-3  # differences, as share of an output's range, that are not judged
 LARGE = 1e30  # an input that no model expects
@@ -54,7 +55,9 @@ def _experiment(subject: Subject) -> Iterator[str]:
 
 
 def _sampled(subject: Subject, parts: Sequence[float], multiple: int) -> tuple[list[str], Array]:
-    """Return the names and outputs, shape (LONG_STEPS, outputs), with steps of some usual sizes that are split in parts."""
+    """Return the names and outputs, shape (LONG_STEPS, outputs), with steps of some usual sizes
+    that are split in parts.
+    """
     with Run(subject) as run:
         run.begin()
         h = multiple * run.h
@@ -76,13 +79,20 @@ def _convergence(subject: Subject) -> Iterator[str]:
     scale = _scale(*tables)
     first, second = (np.mean(np.abs(b - a), axis=0) / scale for a, b in itertools.pairwise(tables))
     for k in np.flatnonzero((second > DIVERGENCE * first) & (second > SMALL_SHARE)):
-        yield f"{names[k]}: half as long steps change it by {first[k]:.2g} of its range, a quarter as long ones by {second[k]:.2g}"
+        yield (
+            f"{names[k]}: half as long steps change it by {first[k]:.2g} of its range, a quarter as"
+            f" long ones by {second[k]:.2g}"
+        )
 
 
-@behaviour("run-split", "steps of varying size lead to the same outputs as equal ones", Severity.warning)
+@behaviour(
+    "run-split", "steps of varying size lead to the same outputs as equal ones", Severity.warning
+)
 def _split(subject: Subject) -> Iterator[str]:
     ask(subject, VARIABLE)
-    (names, whole), (_, even), (_, odd) = (_sampled(subject, parts, SPLIT) for parts in ([1.0], [0.5, 0.5], [0.25, 0.75]))
+    (names, whole), (_, even), (_, odd) = (
+        _sampled(subject, parts, SPLIT) for parts in ([1.0], [0.5, 0.5], [0.25, 0.75])
+    )
     scale = _scale(whole, even, odd)
     allowed = 2 * np.max(np.abs(even - whole), axis=0) / scale + SMALL_SHARE
     off = np.max(np.abs(odd - even), axis=0) / scale
@@ -98,7 +108,10 @@ def _noise(subject: Subject) -> Iterator[str]:
             noisy = run.t * (1 + (-1) ** k * 4e-16)
             status = run.instance.step_status(noisy, run.h)
             if refused(status):
-                yield f"the step from {noisy:.17g} s in place of {run.t:.17g} s has status {status}{run.instance.last_message()}"
+                yield (
+                    f"the step from {noisy:.17g} s in place of {run.t:.17g} s has status"
+                    f" {status}{run.instance.last_message()}"
+                )
                 return
             run.t += run.h
 
@@ -117,7 +130,11 @@ def _later(subject: Subject) -> Iterator[str]:
     with Run(subject) as run:
         run.begin(times(subject)[0] + LATER)
         values = run.steps(3)
-    yield from (f"{name} is not finite" for name, row in zip(run.columns, values.T, strict=True) if not np.all(np.isfinite(row)))
+    yield from (
+        f"{name} is not finite"
+        for name, row in zip(run.columns, values.T, strict=True)
+        if not np.all(np.isfinite(row))
+    )
 
 
 def _told(run: Run, h: float) -> Iterator[str]:
@@ -125,7 +142,11 @@ def _told(run: Run, h: float) -> Iterator[str]:
     run.begin()
     run.steps(2)
     if not refused(run.instance.step_status(run.t, h)):
-        bad = [name for name, value in zip(run.columns, run.outputs(), strict=True) if not math.isfinite(value)]
+        bad = [
+            name
+            for name, value in zip(run.columns, run.outputs(), strict=True)
+            if not math.isfinite(value)
+        ]
         yield from (f"a step of {h:g} s has status OK and {name} is not finite" for name in bad)
 
 
@@ -149,7 +170,12 @@ def _zero(subject: Subject) -> Iterator[str]:
                     yield f"{name} goes from {a:.17g} to {b:.17g}"
 
 
-@behaviour("run-odd", "a step size that is no finite number is refused, or does no harm", Severity.note, step_seconds=LONGEST_STEP)
+@behaviour(
+    "run-odd",
+    "a step size that is no finite number is refused, or does no harm",
+    Severity.note,
+    step_seconds=LONGEST_STEP,
+)
 def _odd(subject: Subject) -> Iterator[str]:
     for h in (math.nan, math.inf):
         with Run(subject) as run:
@@ -175,7 +201,12 @@ def _inputs(subject: Subject) -> list[str]:
     return found
 
 
-@behaviour("run-large", "with huge inputs, a step is refused or the outputs are finite", Severity.note, step_seconds=LONGEST_STEP)
+@behaviour(
+    "run-large",
+    "with huge inputs, a step is refused or the outputs are finite",
+    Severity.note,
+    step_seconds=LONGEST_STEP,
+)
 def _large(subject: Subject) -> Iterator[str]:
     for sign in (1.0, -1.0):
         with Run(subject, moved=False) as run:
@@ -186,9 +217,15 @@ def _large(subject: Subject) -> Iterator[str]:
                 if refused(run.instance.step_status(run.t, run.h)):
                     break
                 run.t += run.h
-                bad = [name for name, value in zip(run.columns, run.outputs(), strict=True) if not math.isfinite(value)]
+                bad = [
+                    name
+                    for name, value in zip(run.columns, run.outputs(), strict=True)
+                    if not math.isfinite(value)
+                ]
                 yield from (
-                    f"{name} is not finite after {k + 1} steps with inputs of {sign * LARGE:g}, with status OK" for name in bad
+                    f"{name} is not finite after {k + 1} steps with inputs of {sign * LARGE:g},"
+                    " with status OK"
+                    for name in bad
                 )
                 if bad:
                     return
@@ -205,7 +242,9 @@ def _nan(subject: Subject) -> Iterator[str]:
         with Run(subject, moved=False) as run:
             run.begin()
             kept = run.instance.get(name)
-            if refused(run.instance.write(name, [math.nan])) or refused(run.instance.step_status(run.t, run.h)):
+            if refused(run.instance.write(name, [math.nan])) or refused(
+                run.instance.step_status(run.t, run.h)
+            ):
                 continue
             run.t += run.h
             run.instance.write(name, kept)
@@ -242,7 +281,11 @@ def _events(subject: Subject) -> Iterator[str]:
             if run.instance.flags[0]:
                 run.instance.do("EnterEventMode")
                 _through_events(run)
-        bad = [name for name, value in zip(run.columns, run.outputs(), strict=True) if not math.isfinite(value)]
+        bad = [
+            name
+            for name, value in zip(run.columns, run.outputs(), strict=True)
+            if not math.isfinite(value)
+        ]
         yield from (f"{name} is not finite" for name in bad)
 
 

@@ -1,4 +1,6 @@
-"""Points of values: starts, what can be read and set, ranges, declared dependencies and derivatives."""
+"""Points of values: starts, what can be read and set, ranges, declared dependencies and
+derivatives.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ import numpy as np
 
 from bristle.fmus.conformance.instance import REALS, TAKEN, CallFailed, Instance, Subject
 from bristle.fmus.conformance.registry import Severity
-from bristle.fmus.conformance.running import NotApplicable, Run, ask, behaviour, moved_inputs, numbers, refused, within
+from bristle.fmus.conformance.running import (
+    NotApplicable,
+    Run,
+    ask,
+    behaviour,
+    moved_inputs,
+    numbers,
+    refused,
+    within,
+)
 
 SAME_START = 1e-9  # relative difference that writing a start value in decimals may make
 LEAST_MANY = 2  # variables in one call
@@ -48,23 +59,41 @@ def same(expected: Any, found: Any) -> bool:
     """Say whether a value that was read is the one of the description."""
     if isinstance(expected, str):
         return bool(found == expected.encode())
-    return math.isclose(float(found), expected, rel_tol=SAME_START, abs_tol=0.0) or (math.isnan(expected) and math.isnan(found))
+    return math.isclose(float(found), expected, rel_tol=SAME_START, abs_tol=0.0) or (
+        math.isnan(expected) and math.isnan(found)
+    )
 
 
 def exact(subject: Subject) -> list[str]:
-    """Return the variables whose value in initialisation mode is the start value of the description."""
-    found = [name for name, v in subject.variables.items() if v.start is not None and subject.is_accessible(name)]
-    return [name for name in found if subject.variables[name].initial == "exact" or subject.variables[name].causality == "input"]
+    """Return the variables whose value in initialisation mode is the start value of the
+    description.
+    """
+    found = [
+        name
+        for name, v in subject.variables.items()
+        if v.start is not None and subject.is_accessible(name)
+    ]
+    return [
+        name
+        for name in found
+        if subject.variables[name].initial == "exact"
+        or subject.variables[name].causality == "input"
+    ]
 
 
-@behaviour("run-starts", "inputs, parameters and what is exact have the start values of the description")
+@behaviour(
+    "run-starts", "inputs, parameters and what is exact have the start values of the description"
+)
 def _starts(subject: Subject) -> Iterator[str]:
     with Instance(subject) as instance:
         instance.enter()  # before it, FMI 2 allows to read nothing
         for name in exact(subject):
             expected, found = starts(subject, name), instance.get(name)
             if len(expected) == len(found) and not all(map(same, expected, found)):
-                yield f"{name}: {' '.join(map(str, found))} instead of {subject.variables[name].start}"
+                yield (
+                    f"{name}: {' '.join(map(str, found))} instead of"
+                    f" {subject.variables[name].start}"
+                )
 
 
 @behaviour("run-finite", "every output is finite, at the start and in the first steps")
@@ -110,9 +139,16 @@ def _unreadable(instance: Instance, names: Sequence[str], when: str) -> Iterator
             yield f"{name}: NULL in place of text {when}"
 
 
-@behaviour("run-settable", "parameters and inputs take their own start values, where the standard allows to set them")
+@behaviour(
+    "run-settable",
+    "parameters and inputs take their own start values, where the standard allows to set them",
+)
 def _settable(subject: Subject) -> Iterator[str]:
-    given = [name for name in exact(subject) if subject.variables[name].causality in ("parameter", "input")]
+    given = [
+        name
+        for name in exact(subject)
+        if subject.variables[name].causality in ("parameter", "input")
+    ]
     if not given:
         raise NotApplicable("it has neither parameters nor inputs")
     with Run(subject) as run:
@@ -143,7 +179,9 @@ def _kept(subject: Subject) -> Iterator[str]:
         except CallFailed as error:
             raise NotApplicable(f"it does not run with other values: {error}") from None
         for name, value in taken.items():
-            expected = float(np.float32(value)) if subject.variables[name].type == "Float32" else value
+            expected = (
+                float(np.float32(value)) if subject.variables[name].type == "Float32" else value
+            )
             found = run.instance.number(name)
             if found != expected:
                 yield f"{name}: {found:.17g} instead of {expected:.17g}"
@@ -151,7 +189,11 @@ def _kept(subject: Subject) -> Iterator[str]:
 
 @behaviour("run-many", "several variables in one call are read and set as one by one")
 def _many(subject: Subject) -> Iterator[str]:
-    names = [name for name, v in subject.variables.items() if v.type in ("Real", "Float64") and subject.is_accessible(name)]
+    names = [
+        name
+        for name, v in subject.variables.items()
+        if v.type in ("Real", "Float64") and subject.is_accessible(name)
+    ]
     if len(names) < LEAST_MANY:
         raise NotApplicable("it has less than two real variables")
     with Run(subject) as run:
@@ -169,9 +211,17 @@ def _many(subject: Subject) -> Iterator[str]:
 
 def _set_many(run: Run) -> Iterator[str]:
     """Give the inputs that are not set in one call as one by one."""
-    names = [name for name in run.subject.scalars("input") if run.subject.variables[name].type in ("Real", "Float64")]
-    values = [within(run.subject, name, run.instance.number(name) * (1 + NUDGE) + NUDGE) for name in names]
-    if len(names) >= LEAST_MANY and not any(refused(run.instance.write(n, [x])) for n, x in zip(names, values, strict=True)):
+    names = [
+        name
+        for name in run.subject.scalars("input")
+        if run.subject.variables[name].type in ("Real", "Float64")
+    ]
+    values = [
+        within(run.subject, name, run.instance.number(name) * (1 + NUDGE) + NUDGE) for name in names
+    ]
+    if len(names) >= LEAST_MANY and not any(
+        refused(run.instance.write(n, [x])) for n, x in zip(names, values, strict=True)
+    ):
         run.move()
         if refused(run.instance.many("Set", names, (c_double * len(names))(*values))):
             yield "several inputs cannot be set in one call"
@@ -184,27 +234,41 @@ def _set_many(run: Run) -> Iterator[str]:
 def _sizes(subject: Subject) -> Iterator[str]:
     if subject.fmi == 2:
         raise NotApplicable("FMI 2 does not tell the room")
-    names = [name for name, v in subject.variables.items() if v.type == "Float64" and subject.is_accessible(name)]
+    names = [
+        name
+        for name, v in subject.variables.items()
+        if v.type == "Float64" and subject.is_accessible(name)
+    ]
     with Run(subject) as run:
         run.begin()
         for name in names:
             room = (c_double * subject.count(name))(*([UNLIKELY] * subject.count(name)))
-            run.instance.call("GetFloat64", byref(c_uint(subject.reference(name))), 1, room, len(room) - 1)
+            run.instance.call(
+                "GetFloat64", byref(c_uint(subject.reference(name))), 1, room, len(room) - 1
+            )
             if room[len(room) - 1] != UNLIKELY:
                 yield f"{name}: {len(room)} numbers are written into room for {len(room) - 1}"
 
 
-# -- dependencies --------------------------------------------------------------------------------------------------------
+# -- dependencies ----------------------------------------------------------------------------------
 
 
 def undeclared(instance: Instance, unknowns: Sequence[Any], knowns: Sequence[str]) -> Iterator[str]:
-    """Give the unknowns that change when a known value is moved that they are not declared to depend on."""
+    """Give the unknowns that change when a known value is moved that they are not declared to
+    depend on.
+    """
     subject = instance.subject
-    watched = [u for u in unknowns if u.dependencies is not None and subject.is_accessible(u.variable.name)]
+    watched = [
+        u for u in unknowns if u.dependencies is not None and subject.is_accessible(u.variable.name)
+    ]
     before = {u.variable.name: instance.get(u.variable.name) for u in watched}
     for known in knowns:
         value = instance.number(known)
-        moved = within(subject, known, value + NUDGE * (abs(value) + float(subject.variables[known].nominal or 1.0)))
+        moved = within(
+            subject,
+            known,
+            value + NUDGE * (abs(value) + float(subject.variables[known].nominal or 1.0)),
+        )
         if moved == value or refused(instance.write(known, [moved])):
             continue
         for u in watched:
@@ -214,12 +278,17 @@ def undeclared(instance: Instance, unknowns: Sequence[Any], knowns: Sequence[str
         instance.write(known, [value])
 
 
-@behaviour("run-dependencies", "in initialisation, unknowns depend on what they are declared to depend on alone")
+@behaviour(
+    "run-dependencies",
+    "in initialisation, unknowns depend on what they are declared to depend on alone",
+)
 def _dependencies(subject: Subject) -> Iterator[str]:
     unknowns = [u for u in subject.description.initialUnknowns if u.dependencies is not None]
     knowns = [name for name in subject.scalars("parameter", "input") if name in set(exact(subject))]
     if not unknowns or not knowns:
-        raise NotApplicable("it declares no dependencies of initial unknowns on numbers that can be set")
+        raise NotApplicable(
+            "it declares no dependencies of initial unknowns on numbers that can be set"
+        )
     with Instance(subject) as instance:
         instance.enter()
         yield from undeclared(instance, unknowns, knowns)
@@ -236,11 +305,15 @@ def _feedthrough(subject: Subject) -> Iterator[str]:
         yield from undeclared(run.instance, unknowns, subject.scalars("input"))
 
 
-# -- derivatives ---------------------------------------------------------------------------------------------------------
+# -- derivatives -----------------------------------------------------------------------------------
 
 
-def slopes(instance: Instance, unknowns: Sequence[str], known: str, size: float) -> tuple[Any, Any, Any]:
-    """Return difference quotients of some variables by a known one: to the right, to the left, and their rounding errors."""
+def slopes(
+    instance: Instance, unknowns: Sequence[str], known: str, size: float
+) -> tuple[Any, Any, Any]:
+    """Return difference quotients of some variables by a known one: to the right, to the left, and
+    their rounding errors.
+    """
     value = instance.number(known)
     h = DIFFERENCE_SHARE * max(abs(value), size)
     rows = []
@@ -253,11 +326,14 @@ def slopes(instance: Instance, unknowns: Sequence[str], known: str, size: float)
     return (up - middle) / h, (middle - down) / h, np.spacing(np.abs(middle)) / h
 
 
-def wrong_slopes(instance: Instance, unknowns: Sequence[str], known: str, size: float, *, quiet: bool = False) -> Iterator[str]:
-    """Give the variables whose directional derivative by a known one is not the difference quotient.
+def wrong_slopes(
+    instance: Instance, unknowns: Sequence[str], known: str, size: float, *, quiet: bool = False
+) -> Iterator[str]:
+    """Give the variables whose directional derivative by a known one is not the difference
+    quotient.
 
-    Where the quotients to both sides differ there is no derivative to compare. `quiet`: a variable that does not move is not
-    judged, because it may be computed in the next step.
+    Where the quotients to both sides differ there is no derivative to compare. `quiet`: a variable
+    that does not move is not judged, because it may be computed in the next step.
     """
     right, left, rounding = slopes(instance, unknowns, known, size)
     given = np.array(instance.directional(unknowns, [known], [1.0]))
@@ -270,19 +346,32 @@ def wrong_slopes(instance: Instance, unknowns: Sequence[str], known: str, size: 
 
 
 def not_linear(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str]) -> Iterator[str]:
-    """Give the variables whose directional derivative in a mixed direction is not the sum of those by each known one."""
+    """Give the variables whose directional derivative in a mixed direction is not the sum of those
+    by each known one.
+    """
     seed = [1.0 + k for k in range(len(knowns))]
-    parts = np.array([instance.directional(unknowns, [known], [share]) for known, share in zip(knowns, seed, strict=True)])
-    for name, terms, found in zip(unknowns, parts.T, instance.directional(unknowns, knowns, seed), strict=True):
+    parts = np.array(
+        [
+            instance.directional(unknowns, [known], [share])
+            for known, share in zip(knowns, seed, strict=True)
+        ]
+    )
+    for name, terms, found in zip(
+        unknowns, parts.T, instance.directional(unknowns, knowns, seed), strict=True
+    ):
         if abs(found - terms.sum()) > SAME_START * np.abs(terms).sum():
             yield f"{name} in a mixed direction: {found:.6g} instead of {terms.sum():.6g}"
 
 
-@behaviour("run-derivatives", "directional derivatives of outputs by inputs are the difference quotients")
+@behaviour(
+    "run-derivatives", "directional derivatives of outputs by inputs are the difference quotients"
+)
 def _derivatives(subject: Subject) -> Iterator[str]:
     ask(subject, "providesDirectionalDerivative", "providesDirectionalDerivatives")
     inputs = {
-        name: size for name, (_, size) in moved_inputs(subject).items() if subject.variables[name].variability == "continuous"
+        name: size
+        for name, (_, size) in moved_inputs(subject).items()
+        if subject.variables[name].variability == "continuous"
     }
     outputs = [name for name in numbers(subject) if name in set(subject.scalars("output"))]
     outputs = [name for name in outputs if subject.variables[name].variability == "continuous"]

@@ -6,7 +6,13 @@ import math
 
 import casadi as ca
 
-from bristle.fmus.controller.compensation import ASSUMED_C, FADE_TIME, TEST_TIME, compensation, estimates
+from bristle.fmus.controller.compensation import (
+    ASSUMED_C,
+    FADE_TIME,
+    TEST_TIME,
+    compensation,
+    estimates,
+)
 from bristle.model.generator import MODULUS, draw, normal, scrambled
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
@@ -16,20 +22,64 @@ SX = ca.SX
 
 KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astrom2008 section 10.1")
 KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
-CONTROLLER_U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A")
+CONTROLLER_U_MAX = Parameter(
+    "u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A"
+)
 REFERENCE_SEED = Parameter(
-    "seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the reference", "park1988 section 2"
+    "seed",
+    "seed",
+    "1",
+    1.0,
+    1.0,
+    MODULUS - 1.0,
+    "whole number that chooses the reference",
+    "park1988 section 2",
 )
 REFERENCE_ORDER = Parameter(
-    "order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections of the reference, 1 or 2", "dixit2008 section IV-C"
+    "order",
+    "order",
+    "1",
+    1.0,
+    1.0,
+    2.0,
+    "low-pass sections of the reference, 1 or 2",
+    "dixit2008 section IV-C",
 )
-RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference, not clipped", "dixit2008 section IV-C")
-CLIP = Parameter("clip", "clip", "rad/s", math.radians(300.0), 0.0, 1e4, "largest reference", "dixit2008 section IV-C")
-CUTOFF = Parameter("cutoff", "omega_c", "rad/s", 5.0, 1e-3, 1e3, "cut-off of each section", "dixit2008 section IV-C")
+RMS = Parameter(
+    "rms",
+    "rms",
+    "rad/s",
+    math.radians(120.0),
+    0.0,
+    1e4,
+    "rms of the reference, not clipped",
+    "dixit2008 section IV-C",
+)
+CLIP = Parameter(
+    "clip",
+    "clip",
+    "rad/s",
+    math.radians(300.0),
+    0.0,
+    1e4,
+    "largest reference",
+    "dixit2008 section IV-C",
+)
+CUTOFF = Parameter(
+    "cutoff",
+    "omega_c",
+    "rad/s",
+    5.0,
+    1e-3,
+    1e3,
+    "cut-off of each section",
+    "dixit2008 section IV-C",
+)
 
 
 def _constants(system: System, p: Namespace) -> Namespace:
-    """Filter coefficients, and the stationary covariance P of the two sections for the rms asked for.
+    """Filter coefficients, and the stationary covariance P of the two sections for the rms asked
+    for.
 
     Section i: x_i' = a x_i + (1 - a) w_i with w_1 = g n (n white, variance 1) and w_2 = x_1'.
     """
@@ -44,7 +94,9 @@ def _constants(system: System, p: Namespace) -> Namespace:
 
 
 def _reference(system: System, p: Namespace, scale: SX) -> tuple[SX, SX, SX]:
-    """Declare the generator and the low-pass sections; return the reference now, after one sample and after two."""
+    """Declare the generator and the low-pass sections; return the reference now, after one sample
+    and after two.
+    """
     k = _constants(system, p)
     z1, s = normal(scrambled(p.seed))
     z2, s = normal(s)
@@ -71,7 +123,8 @@ def _reference(system: System, p: Namespace, scale: SX) -> tuple[SX, SX, SX]:
 
 
 def _control(system: System, p: Namespace, error: SX, forward: SX) -> SX:
-    """Declare the controller u = sat(kp e + I + forward), whose integral stops while u is saturated and e would drive it further.
+    """Declare the controller u = sat(kp e + I + forward), whose integral stops while u is saturated
+    and e would drive it further.
 
     Source: astrom2008 section 10.1; conditional integration, section 10.4.
     """
@@ -89,13 +142,22 @@ def program() -> Program:
 
     That voltage acts from t_k+1 to t_k+2, and the compensation is for the reference of that time.
     """
-    system = System("controller", "velocity controller with a seeded random reference and compensation of friction")
+    system = System(
+        "controller",
+        "velocity controller with a seeded random reference and compensation of friction",
+    )
     tuning = (KP, KI, CONTROLLER_U_MAX, FADE_TIME, ASSUMED_C, TEST_TIME)
     for parameter in (*tuning, REFERENCE_SEED, REFERENCE_ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
         system.parameter(parameter)
     y_v = system.input(Variable("y_v", "rad/s", "measured velocity"))
-    u_ff = system.input(Variable("u_ff", "V", "voltage that is added to the controller's own", minimum=-1e9, maximum=1e9))
-    scale = system.input(Variable("reference_scale", "1", "factor of the reference", 1.0, minimum=-1e6, maximum=1e6))
+    u_ff = system.input(
+        Variable(
+            "u_ff", "V", "voltage that is added to the controller's own", minimum=-1e9, maximum=1e9
+        )
+    )
+    scale = system.input(
+        Variable("reference_scale", "1", "factor of the reference", 1.0, minimum=-1e6, maximum=1e6)
+    )
     given = estimates(system)
     p = system.namespace()
     reference, *ahead = _reference(system, p, scale)
@@ -105,5 +167,8 @@ def program() -> Program:
     system.update("forward", compensated)
     system.output(Variable("u", "V", "voltage asked of the drive"), voltage)
     system.output(Variable("reference", "rad/s", "velocity to follow"), reference)
-    system.output(Variable("u_compensation", "V", "part of u that compensates friction, inertia and load"), forward)
+    system.output(
+        Variable("u_compensation", "V", "part of u that compensates friction, inertia and load"),
+        forward,
+    )
     return Program("Controller", [system])

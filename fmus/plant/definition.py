@@ -9,5 +9,7 @@ from bristle.plant.servo import servo_program
 
 
 def program(law: str | None = None, effects: Sequence[str] = (), encoder: bool = True) -> Program:
-    """Return ServoPlant; of a smooth law alone and without the encoder, Model Exchange can be offered."""
+    """Return ServoPlant; of a smooth law alone and without the encoder, Model Exchange can be
+    offered.
+    """
     return servo_program(law, encoder=encoder, effects=effects)

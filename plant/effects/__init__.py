@@ -1,4 +1,6 @@
-"""Effects, one a file: a file here with an `EFFECT` is an effect everywhere (composition, docs, tests)."""
+"""Effects, one a file: a file here with an `EFFECT` is an effect everywhere (composition, docs,
+tests).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,11 @@ from functools import cache
 from bristle.common.errors import BristleError, suggest
 from bristle.common.packages import offered
 from bristle.common.plugins import catalogue_modules
-from bristle.model.declarations import checked_declarations, packaged_declaration, packaged_declarations
+from bristle.model.declarations import (
+    checked_declarations,
+    packaged_declaration,
+    packaged_declarations,
+)
 from bristle.model.normalised import OBSERVED
 from bristle.plant.effect import NEEDS, VIEWS, Effect
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
@@ -19,24 +25,34 @@ __all__ = ["effect", "effects", "separation"]
 
 @cache
 def _catalogue(wording: Wording, packages: bool) -> dict[str, Effect]:
-    """Return what the files here declare, checked, so that a mistake in one is reported at once with its file."""
+    """Return what the files here declare, checked, so that a mistake in one is reported at once
+    with its file.
+    """
     if packages:
         own = _catalogue(wording, False)
         added = packaged_declarations("effects", "EFFECT", Effect, own, _check)
         return own | {name: effect.worded(wording) for name, effect in added.items()}
-    found = checked_declarations(catalogue_modules(__name__, __path__, "effects"), "EFFECT", Effect, _check)
+    found = checked_declarations(
+        catalogue_modules(__name__, __path__, "effects"), "EFFECT", Effect, _check
+    )
     return {name: effect.worded(wording) for name, effect in found.items()}
 
 
 def _check(effect: Effect, known: Mapping[str, Effect]) -> None:
-    """Raise `BristleError` if an effect names a parameter, a view, another effect or a placeholder that there is not."""
+    """Raise `BristleError` if an effect names a parameter, a view, another effect or a placeholder
+    that there is not.
+    """
     own = [p.name.removeprefix(f"{effect.name}.") for p in effect.parameters]
     shapes = [name for start in effect.shape_starts for name in start]
     others = [effect.periods, effect.free_play]
     of_parameters = {
-        "off": effect.off, "unused": effect.unused, "search_interval": effect.search_interval, "shape_starts": shapes,
-        "second_term": effect.second_term, "periods or free_play": [name for name in others if name],
-    }  # fmt: skip
+        "off": effect.off,
+        "unused": effect.unused,
+        "search_interval": effect.search_interval,
+        "shape_starts": shapes,
+        "second_term": effect.second_term,
+        "periods or free_play": [name for name in others if name],
+    }
     for key, names in of_parameters.items():
         _must_know(key, names, own, "parameter of the effect")
     _must_know("residual", effect.residual, list(VIEWS), "view")
@@ -45,26 +61,34 @@ def _check(effect: Effect, known: Mapping[str, Effect]) -> None:
     _must_know("confounded", effect.confounded, list(known), "effect")
     _must_know("group", effect.group.split("/"), list(known), "effect")
     if effect.name not in effect.group.split("/"):
-        raise BristleError(f"group '{effect.group}' lacks '{effect.name}'; write the names of its effects with / between")
+        raise BristleError(
+            f"group '{effect.group}' lacks '{effect.name}'; write the names of its effects with /"
+            " between"
+        )
     effect.worded(ROTARY)
 
 
 def _must_know(key: str, names: Iterable[str], known: Sequence[str], what: str) -> None:
     for name in names:
         if name not in known:
-            raise BristleError(f"{key}: '{name}' is no {what}{suggest(name, known)}; known: {', '.join(known)}")
+            raise BristleError(
+                f"{key}: '{name}' is no {what}{suggest(name, known)}; known: {', '.join(known)}"
+            )
 
 
 def effects(wording: Wording = ROTARY, packages: bool = True) -> dict[str, Effect]:
-    """Return all effects by name, in alphabetical order of their files, with the words for an axis in their texts.
+    """Return all effects by name, in alphabetical order of their files, with the words for an axis
+    in their texts.
 
-    Those of installed packages follow, unless `packages` is False. Raise `BristleError` if a file declares none rightly.
+    Those of installed packages follow, unless `packages` is False. Raise `BristleError` if a file
+    declares none rightly.
     """
     return dict(_catalogue(wording, packages))
 
 
 def effect(name: str, wording: Wording = ROTARY) -> Effect:
-    """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for an unknown one.
+    """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for
+    an unknown one.
 
     The unnamed torques are found too, although they are not among `effects`.
     """
@@ -80,12 +104,16 @@ def _packaged(name: str, wording: Wording) -> Effect:
     own, names = _catalogue(wording, False), offered("effects")
     if name not in names:
         known = list(dict.fromkeys([*own, *names]))
-        raise BristleError(f"unknown effect '{name}'{suggest(name, known)}; known: {', '.join(known)}")
+        raise BristleError(
+            f"unknown effect '{name}'{suggest(name, known)}; known: {', '.join(known)}"
+        )
     return packaged_declaration("effects", name, "EFFECT", Effect, own, _check).worded(wording)
 
 
 def separation(names: Collection[str], wording: Wording = ROTARY) -> str:
-    """Return what to measure to tell the effects of a class apart; empty if the names are not all those of one class."""
+    """Return what to measure to tell the effects of a class apart; empty if the names are not all
+    those of one class.
+    """
     found = [effect(name, wording) for name in names]
     whole = all(set(names) == set(each.group.split("/")) for each in found)
     return next((each.separation for each in found if whole and each.separation), "")

@@ -34,7 +34,16 @@ EFFECT = Effect(
     needs=(BOTH_DIRECTIONS,),
     confounded=("bias",),
     parameters=(
-        Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
+        Parameter(
+            "asymmetric_coulomb.share",
+            "alpha",
+            "1",
+            0.2,
+            -1.0,
+            1.0,
+            "excess forward, lack backward",
+            "armstrong1994",
+        ),
     ),
     factor=factor,
     without_truth=(*DRY_FRICTION, "load"),

@@ -30,13 +30,29 @@ EFFECT = Effect(
     group="bias/asymmetric_coulomb",
     equation="T = tau0",
     residual=("all",),
-    excitation="any motion; only another level of friction distinguishes it from asymmetric_coulomb",
+    excitation=(
+        "any motion; only another level of friction distinguishes it from asymmetric_coulomb"
+    ),
     confounded=("asymmetric_coulomb", "gravity", "disturbance_step"),
-    parameters=(Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant {torque}, positive forward", "janot2019"),),
+    parameters=(
+        Parameter(
+            "bias.torque",
+            "tau0",
+            "N.m",
+            0.001,
+            -1e6,
+            1e6,
+            "constant {torque}, positive forward",
+            "janot2019",
+        ),
+    ),
     torque=torque,
     load=torque,
     off={"torque": 0.0},
-    separation="run it again at another level of friction, warm instead of cold or with another preload: a constant {torque} stays "
-    "what it is, an asymmetry grows with the friction (both shift the break-away alike)",
+    separation=(
+        "run it again at another level of friction, warm instead of cold or with another preload: a"
+        " constant {torque} stays what it is, an asymmetry grows with the friction (both shift the"
+        " break-away alike)"
+    ),
     starts=starts,
 )

@@ -17,7 +17,9 @@ def torque(c: Context) -> ca.SX:
     Source: krishnan2010 (cogging torque, first two terms of its Fourier series).
     """
     angle = c.p.periods * c.theta
-    return ca.SX(c.p.amplitude * ca.sin(angle + c.p.phase) + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2))
+    return ca.SX(
+        c.p.amplitude * ca.sin(angle + c.p.phase) + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2)
+    )
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -28,14 +30,23 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
     starts: list[dict[str, float]] = []
     for periods, (sine, cosine) in e.best(e.waves(2, 60), columns, 2):
-        one = {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), "periods": periods}
+        one = {
+            "amplitude": math.hypot(sine, cosine),
+            "phase": math.atan2(cosine, sine),
+            "periods": periods,
+        }
         sine, cosine = e.regress(columns(2 * periods))[0]
-        starts += [one, one | {"amplitude2": math.hypot(sine, cosine), "phase2": math.atan2(cosine, sine)}]
+        starts += [
+            one,
+            one | {"amplitude2": math.hypot(sine, cosine), "phase2": math.atan2(cosine, sine)},
+        ]
     return starts
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """At least two periods in a turn or, on a linear axis, in the range travelled: fewer are a slow change, no ripple."""
+    """At least two periods in a turn or, on a linear axis, in the range travelled: fewer are a slow
+    change, no ripple.
+    """
     return {"periods": (m.two_periods, math.inf)}
 
 
@@ -50,11 +61,47 @@ EFFECT = Effect(
     excitation="a slow pass over many periods",
     confounded=("position_friction", "gravity", "eccentric_encoder"),
     parameters=(
-        Parameter("cogging.amplitude", "A1", "N.m", 0.001, -1e6, 1e6, "amplitude of the first term", "krishnan2010"),
-        Parameter("cogging.phase", "phi1", "rad", 0.0, -10.0, 10.0, "phase of the first term", "krishnan2010"),
+        Parameter(
+            "cogging.amplitude",
+            "A1",
+            "N.m",
+            0.001,
+            -1e6,
+            1e6,
+            "amplitude of the first term",
+            "krishnan2010",
+        ),
+        Parameter(
+            "cogging.phase",
+            "phi1",
+            "rad",
+            0.0,
+            -10.0,
+            10.0,
+            "phase of the first term",
+            "krishnan2010",
+        ),
         Parameter("cogging.periods", "N", "1", 7.0, 1.0, 1e4, "{periods}", "krishnan2010"),
-        Parameter("cogging.amplitude2", "A2", "N.m", 0.0, -1e6, 1e6, "amplitude of the second term", "krishnan2010"),
-        Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
+        Parameter(
+            "cogging.amplitude2",
+            "A2",
+            "N.m",
+            0.0,
+            -1e6,
+            1e6,
+            "amplitude of the second term",
+            "krishnan2010",
+        ),
+        Parameter(
+            "cogging.phase2",
+            "phi2",
+            "rad",
+            0.0,
+            -10.0,
+            10.0,
+            "phase of the second term",
+            "krishnan2010",
+        ),
     ),
     second_term=("amplitude2", "phase2"),
     torque=torque,

@@ -11,17 +11,21 @@ from bristle.plant.effect import OVER_INERTIA, Context, Coupling, Effect, Eviden
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
-    """T = k e (1 + h e^2) + d e', e = theta - theta_load; the load has the share r of J, the motor the rest.
+    """T = k e (1 + h e^2) + d e', e = theta - theta_load; the load has the share r of J, the motor
+    the rest.
 
-    Friction and the sensor are on the motor side; external torque, gravity, a stop and a disturbance act on the load.
-    Source: spong2006 chapter 6 (drive train with an elastic shaft), tuttle1996 (cubic term of its stiffness).
+    Friction and the sensor are on the motor side; external torque, gravity, a stop and a
+    disturbance act on the load. Source: spong2006 chapter 6 (drive train with an elastic shaft),
+    tuttle1996 (cubic term of its stiffness).
     """
-    return Coupling(c.p.share, c.p.stiffness * twist * (1 + c.p.hardening * twist * twist) + c.p.damping * rate)
+    return Coupling(
+        c.p.share, c.p.stiffness * twist * (1 + c.p.hardening * twist * twist) + c.p.damping * rate
+    )
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return resonances of the whole where the spectrum has peaks and from 8 to 80 Hz, lightly damped, with a third of the inertia
-    behind the spring."""
+    """Return resonances of the whole where the spectrum has peaks and from 8 to 80 Hz, lightly
+    damped, with a third of the inertia behind the spring."""
     share, starts = 0.3, []
     for frequency in (*e.resonances(2), 8.0, 14.0, 25.0, 45.0, 80.0):
         stiffness = share * (1 - share) * e.inertia * (2 * math.pi * frequency) ** 2
@@ -41,10 +45,46 @@ EFFECT = Effect(
     excitation="a chirp over the resonance, typically 10 to 60 Hz",
     confounded=("input_delay", "electrical_pole", "presliding", "backlash"),
     parameters=(
-        Parameter("compliance.share", "r", "1", 0.5, 1e-3, 0.999, "load inertia over the whole J", "spong2006 chapter 6"),
-        Parameter("compliance.stiffness", "k", "N.m/rad", 10.0, 1e-6, 1e9, "stiffness of the shaft", "spong2006 chapter 6"),
-        Parameter("compliance.damping", "d", "N.m.s/rad", 0.005, 0.0, 1e6, "damping of the shaft", "spong2006 chapter 6"),
-        Parameter("compliance.hardening", "h", "1/rad2", 0.0, 0.0, 1e8, "cubic term of the stiffness, over k", "tuttle1996"),
+        Parameter(
+            "compliance.share",
+            "r",
+            "1",
+            0.5,
+            1e-3,
+            0.999,
+            "load inertia over the whole J",
+            "spong2006 chapter 6",
+        ),
+        Parameter(
+            "compliance.stiffness",
+            "k",
+            "N.m/rad",
+            10.0,
+            1e-6,
+            1e9,
+            "stiffness of the shaft",
+            "spong2006 chapter 6",
+        ),
+        Parameter(
+            "compliance.damping",
+            "d",
+            "N.m.s/rad",
+            0.005,
+            0.0,
+            1e6,
+            "damping of the shaft",
+            "spong2006 chapter 6",
+        ),
+        Parameter(
+            "compliance.hardening",
+            "h",
+            "1/rad2",
+            0.0,
+            0.0,
+            1e8,
+            "cubic term of the stiffness, over k",
+            "tuttle1996",
+        ),
     ),
     shape_starts=({"hardening": 0.0},),
     coupling=coupling,

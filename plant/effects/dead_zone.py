@@ -9,7 +9,8 @@ from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion
 
 LARGEST_SHARE_INSIDE = 0.8  # largest share of the samples whose input lies inside the dead zone (1)
-CREDIBLE_SHARE_INSIDE = 0.5  # share of the samples inside beyond which a stronger likelihood gain is required (1)
+# share of the samples inside beyond which a stronger likelihood gain is required (1)
+CREDIBLE_SHARE_INSIDE = 0.5
 
 
 def command(c: Context) -> ca.SX:
@@ -47,7 +48,18 @@ EFFECT = Effect(
     nonsmooth=True,
     excitation="reversals with a small input",
     confounded=("stribeck", "asymmetric_coulomb"),
-    parameters=(Parameter("dead_zone.width", "d", "V", 0.3, 0.0, 1e6, "input on either side that does nothing", "tao1996"),),
+    parameters=(
+        Parameter(
+            "dead_zone.width",
+            "d",
+            "V",
+            0.3,
+            0.0,
+            1e6,
+            "input on either side that does nothing",
+            "tao1996",
+        ),
+    ),
     order=1,
     command=command,
     off={"width": 0.0},

@@ -12,7 +12,8 @@ LEAST_SHARE_BESIDE = 0.05  # least share of the samples before the onset, and af
 
 
 def torque(c: Context) -> ca.SX:
-    """T = D clip((t - t0)/rise, 0, 1): a step with a short ramp, so that it can be differentiated by t0.
+    """T = D clip((t - t0)/rise, 0, 1): a step with a short ramp, so that it can be differentiated
+    by t0.
 
     Source: astrom2008 (load disturbance).
     """
@@ -45,9 +46,29 @@ EFFECT = Effect(
     excitation="a record that lasts beyond the onset",
     confounded=("friction_drift", "bias"),
     parameters=(
-        Parameter("disturbance_step.torque", "D", "N.m", 0.005, -1e6, 1e6, "{torque} after the onset", "astrom2008"),
-        Parameter("disturbance_step.onset", "t0", "s", 0.5, -1e6, 1e6, "time of the onset", "astrom2008"),
-        Parameter("disturbance_step.rise", "rise", "s", 1e-3, 1e-6, 1e3, "duration of the ramp", "astrom2008"),
+        Parameter(
+            "disturbance_step.torque",
+            "D",
+            "N.m",
+            0.005,
+            -1e6,
+            1e6,
+            "{torque} after the onset",
+            "astrom2008",
+        ),
+        Parameter(
+            "disturbance_step.onset", "t0", "s", 0.5, -1e6, 1e6, "time of the onset", "astrom2008"
+        ),
+        Parameter(
+            "disturbance_step.rise",
+            "rise",
+            "s",
+            1e-3,
+            1e-6,
+            1e3,
+            "duration of the ramp",
+            "astrom2008",
+        ),
     ),
     load_side=True,
     torque=torque,

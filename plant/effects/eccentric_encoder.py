@@ -14,7 +14,8 @@ from bristle.plant.effect import Context, Effect, Evidence
 def output(c: Context) -> tuple[ca.SX, ca.SX]:
     """y = theta + e (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta)), y' = v dy/dtheta.
 
-    Source: ellin2008 (error of a rotary encoder once in a turn by eccentricity, twice by an oval disc).
+    Source: ellin2008 (error of a rotary encoder once in a turn by eccentricity, twice by an oval
+    disc).
     """
     angle, twice = c.theta + c.p.phase, 2 * c.theta
     wave = ca.sin(angle) + c.p.sine2 * ca.sin(twice) + c.p.cosine2 * ca.cos(twice)
@@ -41,10 +42,46 @@ EFFECT = Effect(
     excitation="fast turns: its acceleration grows with the square of the speed",
     confounded=("gravity", "cogging"),
     parameters=(
-        Parameter("eccentric_encoder.amplitude", "e", "rad", 0.02, -0.9, 0.9, "largest error of the angle", "ellin2008"),
-        Parameter("eccentric_encoder.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle of the disc at theta = 0", "ellin2008"),
-        Parameter("eccentric_encoder.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "ellin2008"),
-        Parameter("eccentric_encoder.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "ellin2008"),
+        Parameter(
+            "eccentric_encoder.amplitude",
+            "e",
+            "rad",
+            0.02,
+            -0.9,
+            0.9,
+            "largest error of the angle",
+            "ellin2008",
+        ),
+        Parameter(
+            "eccentric_encoder.phase",
+            "phi",
+            "rad",
+            0.0,
+            -10.0,
+            10.0,
+            "angle of the disc at theta = 0",
+            "ellin2008",
+        ),
+        Parameter(
+            "eccentric_encoder.sine2",
+            "s2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share twice in a turn, sine",
+            "ellin2008",
+        ),
+        Parameter(
+            "eccentric_encoder.cosine2",
+            "c2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share twice in a turn, cosine",
+            "ellin2008",
+        ),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     output=output,

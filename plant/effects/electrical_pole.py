@@ -44,7 +44,16 @@ EFFECT = Effect(
     excitation="a bandwidth of the input above 1/(2 pi T)",
     confounded=("input_delay",),
     parameters=(
-        Parameter("electrical_pole.time_constant", "T", "s", 0.003, 1e-6, 10.0, "inductance over resistance", "spong2006"),
+        Parameter(
+            "electrical_pole.time_constant",
+            "T",
+            "s",
+            0.003,
+            1e-6,
+            10.0,
+            "inductance over resistance",
+            "spong2006",
+        ),
     ),
     order=2,
     states=(State("lagged", "V", "input as the current follows it"),),

@@ -9,7 +9,8 @@ from bristle.plant.effect import REVERSALS, Context, Effect, Evidence
 
 
 def follow(c: Context, theta: ca.SX, v: ca.SX) -> dict[str, ca.SX]:
-    """e = y - theta, held within half the play: the encoder stands still until the motor has crossed the play.
+    """e = y - theta, held within half the play: the encoder stands still until the motor has
+    crossed the play.
 
     Source: tao1996 (backlash characteristic at the sensor).
     """
@@ -39,7 +40,18 @@ EFFECT = Effect(
     excitation="reversals",
     needs=(REVERSALS,),
     confounded=("backlash", "presliding", "input_delay"),
-    parameters=(Parameter("encoder_play.play", "b", "rad", 0.01, 0.0, 10.0, "play between motor and encoder", "tao1996"),),
+    parameters=(
+        Parameter(
+            "encoder_play.play",
+            "b",
+            "rad",
+            0.01,
+            0.0,
+            10.0,
+            "play between motor and encoder",
+            "tao1996",
+        ),
+    ),
     order=-1,
     states=(State("lead", "rad", "how far the encoder is ahead of the motor"),),
     follow=follow,

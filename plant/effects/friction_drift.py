@@ -14,7 +14,8 @@ SMALL = 1e-4  # of the settling: where three terms of its series are exact
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     """Fc max(1 + r (1 - exp(-s t))/s, 0), with t the simulation time; a straight line for s = 0.
 
-    Source: armstrong1994 (friction varies with time and temperature; a first-order lag of what it settles to).
+    Source: armstrong1994 (friction varies with time and temperature; a first-order lag of what it
+    settles to).
     """
     x = c.p.settling * c.time
     straight = ca.fabs(x) < SMALL
@@ -41,8 +42,26 @@ EFFECT = Effect(
     timing="course",
     confounded=("disturbance_step", "position_friction"),
     parameters=(
-        Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second, at first", "armstrong1994"),
-        Parameter("friction_drift.settling", "s", "1/s", 0.0, 0.0, 10.0, "how fast the change comes to its end", "armstrong1994"),
+        Parameter(
+            "friction_drift.rate",
+            "r",
+            "1/s",
+            0.02,
+            -1e3,
+            1e3,
+            "relative change in a second, at first",
+            "armstrong1994",
+        ),
+        Parameter(
+            "friction_drift.settling",
+            "s",
+            "1/s",
+            0.0,
+            0.0,
+            10.0,
+            "how fast the change comes to its end",
+            "armstrong1994",
+        ),
     ),
     shape_starts=({"settling": 0.0},),
     factor=factor,

@@ -12,7 +12,8 @@ from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Context, Effect,
 def bound(c: Context) -> tuple[ca.SX, ca.SX]:
     """mu_d |T_motor| where the motor drives (T_motor v > 0), mu_b |T_motor| where it is driven.
 
-    Source: duclusaud2024 (load-dependent friction with a direction, here by the motor's torque alone).
+    Source: duclusaud2024 (load-dependent friction with a direction, here by the motor's torque
+    alone).
     """
     size, ahead = ca.fabs(c.torque), c.torque > 0
     driving, driven = c.p.driving * size, c.p.driven * size
@@ -40,13 +41,33 @@ EFFECT = Effect(
     needs=(BOTH_DIRECTIONS,),
     confounded=("load_friction", "gain_asymmetry"),
     parameters=(
-        Parameter("gear_loss.driving", "mu_d", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}, driving", "duclusaud2024"),
-        Parameter("gear_loss.driven", "mu_b", "1", 0.05, 0.0, 0.99, "friction over transmitted {torque}, driven", "duclusaud2024"),
+        Parameter(
+            "gear_loss.driving",
+            "mu_d",
+            "1",
+            0.1,
+            0.0,
+            0.99,
+            "friction over transmitted {torque}, driving",
+            "duclusaud2024",
+        ),
+        Parameter(
+            "gear_loss.driven",
+            "mu_b",
+            "1",
+            0.05,
+            0.0,
+            0.99,
+            "friction over transmitted {torque}, driven",
+            "duclusaud2024",
+        ),
     ),
     bound=bound,
     without_truth=DRY_FRICTION,
-    separation="give J a narrow interval, from a drawing or a swing test: where it is free, a loss in one direction of the power "
-    "equals one in both, with all other parameters scaled",
+    separation=(
+        "give J a narrow interval, from a drawing or a swing test: where it is free, a loss in one"
+        " direction of the power equals one in both, with all other parameters scaled"
+    ),
     off={"driving": 0.0, "driven": 0.0},
     starts=starts,
 )

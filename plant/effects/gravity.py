@@ -14,7 +14,8 @@ from bristle.plant.effect import Context, Effect, Evidence
 def torque(c: Context) -> ca.SX:
     """T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta)).
 
-    Source: spong2006 chapter 7 (single link in the field of gravity; behind a linkage the torque has further terms).
+    Source: spong2006 chapter 7 (single link in the field of gravity; behind a linkage the torque
+    has further terms).
     """
     twice = 2 * c.theta
     wave = ca.sin(c.theta + c.p.phase) + c.p.sine2 * ca.sin(twice) + c.p.cosine2 * ca.cos(twice)
@@ -38,10 +39,46 @@ EFFECT = Effect(
     excitation="more than half a turn",
     confounded=("return_spring", "hard_stop", "bias", "eccentric_encoder", "cogging"),
     parameters=(
-        Parameter("gravity.amplitude", "A", "N.m", 0.005, -1e6, 1e6, "weight times arm", "spong2006 chapter 7"),
-        Parameter("gravity.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle to the lowest point at theta = 0", "spong2006 chapter 7"),
-        Parameter("gravity.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "spong2006 chapter 7"),
-        Parameter("gravity.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "spong2006 chapter 7"),
+        Parameter(
+            "gravity.amplitude",
+            "A",
+            "N.m",
+            0.005,
+            -1e6,
+            1e6,
+            "weight times arm",
+            "spong2006 chapter 7",
+        ),
+        Parameter(
+            "gravity.phase",
+            "phi",
+            "rad",
+            0.0,
+            -10.0,
+            10.0,
+            "angle to the lowest point at theta = 0",
+            "spong2006 chapter 7",
+        ),
+        Parameter(
+            "gravity.sine2",
+            "s2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share twice in a turn, sine",
+            "spong2006 chapter 7",
+        ),
+        Parameter(
+            "gravity.cosine2",
+            "c2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share twice in a turn, cosine",
+            "spong2006 chapter 7",
+        ),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,

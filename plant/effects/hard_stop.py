@@ -17,7 +17,8 @@ STOP_DEPTH = 0.1  # rad: where the torque does not depend on the exponent
 def torque(c: Context) -> ca.SX:
     """T = k e (e/e0)^(n-1) below the lower stop, minus that above the upper one; e how deep.
 
-    Source: acary2008 (unilateral contact with a spring in place of the constraint), hunt1975 (a power of the depth).
+    Source: acary2008 (unilateral contact with a spring in place of the constraint), hunt1975 (a
+    power of the depth).
     """
     press = ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)
     return ca.SX(c.p.stiffness * press * power(press / STOP_DEPTH, c.p.exponent - 1))
@@ -27,14 +28,20 @@ SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return stops on either side that explain most of what is left, and one each that is reached often, and hardly ever."""
+    """Return stops on either side that explain most of what is left, and one each that is reached
+    often, and hardly ever.
+    """
     starts: list[dict[str, float]] = []
     for name, side in (("upper", 1.0), ("lower", -1.0)):
         edges = [float(np.quantile(side * e.theta, 1 - share)) for share in SHARES]
         found = e.best(edges, partial(_press, e, side), len(edges))
-        for edge, (stiffness,) in (each for i, each in enumerate(found) if i < 2 or each[0] in (edges[0], edges[-2])):
+        for edge, (stiffness,) in (
+            each for i, each in enumerate(found) if i < 2 or each[0] in (edges[0], edges[-2])
+        ):
             depth = max(float(np.max(side * e.theta)) - edge, 1e-9)
-            starts.append({"stiffness": max(float(stiffness), 0.1 * e.level / depth), name: side * edge})
+            starts.append(
+                {"stiffness": max(float(stiffness), 0.1 * e.level / depth), name: side * edge}
+            )
     return starts
 
 
@@ -55,16 +62,54 @@ EFFECT = Effect(
     "acary2008",
     title="hard stop of the range",
     group="hard_stop",
-    equation="T = k e (|e|/e0)^(n-1), e = max(lower - theta, 0) - max(theta - upper, 0), e0 = 0.1 rad",
+    equation=(
+        "T = k e (|e|/e0)^(n-1), e = max(lower - theta, 0) - max(theta - upper, 0), e0 = 0.1 rad"
+    ),
     residual=("theta",),
     sparse=True,
     excitation="motion that reaches the stop",
     confounded=("gravity", "return_spring"),
     parameters=(
-        Parameter("hard_stop.stiffness", "k", "N.m/rad", 0.5, 0.0, 1e9, "stiffness of the stops", "acary2008"),
-        Parameter("hard_stop.upper", "upper", "rad", 1.0, -1e6, 1e6, "where the upper stop begins", "acary2008"),
-        Parameter("hard_stop.lower", "lower", "rad", -1e6, -1e6, 1e6, "where the lower stop begins", "acary2008"),
-        Parameter("hard_stop.exponent", "n", "1", 1.0, 1.0, 4.0, "of the {torque} over the depth", "hunt1975"),
+        Parameter(
+            "hard_stop.stiffness",
+            "k",
+            "N.m/rad",
+            0.5,
+            0.0,
+            1e9,
+            "stiffness of the stops",
+            "acary2008",
+        ),
+        Parameter(
+            "hard_stop.upper",
+            "upper",
+            "rad",
+            1.0,
+            -1e6,
+            1e6,
+            "where the upper stop begins",
+            "acary2008",
+        ),
+        Parameter(
+            "hard_stop.lower",
+            "lower",
+            "rad",
+            -1e6,
+            -1e6,
+            1e6,
+            "where the lower stop begins",
+            "acary2008",
+        ),
+        Parameter(
+            "hard_stop.exponent",
+            "n",
+            "1",
+            1.0,
+            1.0,
+            4.0,
+            "of the {torque} over the depth",
+            "hunt1975",
+        ),
     ),
     shape_starts=({"exponent": 1.0}, {"exponent": 2.0}),
     load_side=True,

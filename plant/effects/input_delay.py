@@ -13,11 +13,13 @@ DELAY_SAMPLES = 40  # samples kept; a longer delay acts as one of DELAY_SAMPLES 
 def command(c: Context) -> ca.SX:
     """u(t - T), linearly interpolated between the samples on either side.
 
-    The line holds inputs alone, and T enters where they are read: the derivative by T is that of the interpolation.
-    Source: laakso1996 (fractional delay of order one).
+    The line holds inputs alone, and T enters where they are read: the derivative by T is that of
+    the interpolation. Source: laakso1996 (fractional delay of order one).
     """
     periods = ca.fmin(c.p.delay / c.p.sample_time, DELAY_SAMPLES)
-    return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(periods - i)) * c.p[f"u{i}"] for i in range(DELAY_SAMPLES + 1)))
+    return ca.SX(
+        sum(ca.fmax(0, 1 - ca.fabs(periods - i)) * c.p[f"u{i}"] for i in range(DELAY_SAMPLES + 1))
+    )
 
 
 def updates(c: Context) -> dict[str, ca.SX]:
@@ -40,13 +42,21 @@ EFFECT = Effect(
     residual=("du",),
     excitation="a bandwidth of the input above 1/(2 pi T)",
     confounded=("electrical_pole",),
-    parameters=(Parameter("input_delay.delay", "T", "s", 0.0035, 0.0, 10.0, "dead time of the input", "laakso1996"),),
-    sampled=tuple(State(f"u{i}", "V", f"input of {i} samples before") for i in range(DELAY_SAMPLES + 1)),
+    parameters=(
+        Parameter(
+            "input_delay.delay", "T", "s", 0.0035, 0.0, 10.0, "dead time of the input", "laakso1996"
+        ),
+    ),
+    sampled=tuple(
+        State(f"u{i}", "V", f"input of {i} samples before") for i in range(DELAY_SAMPLES + 1)
+    ),
     updates=updates,
     command=command,
     without_truth=("delay",),
     off={"delay": 0.0},
-    separation="drive it with a sweep to ever higher frequencies: the phase lag of a dead time grows without limit, that of the "
-    "winding ends at a quarter period",
+    separation=(
+        "drive it with a sweep to ever higher frequencies: the phase lag of a dead time grows"
+        " without limit, that of the winding ends at a quarter period"
+    ),
     starts=starts,
 )

@@ -20,7 +20,10 @@ def bound(c: Context) -> tuple[ca.SX, ca.SX]:
 
 def starts(e: Evidence) -> list[dict[str, float]]:
     """Return no such friction, and that by linear regression."""
-    return [{"coefficient": 0.0}, {"coefficient": e.coefficient(-np.abs(e.gain * e.u) * np.sign(e.v))}]
+    return [
+        {"coefficient": 0.0},
+        {"coefficient": e.coefficient(-np.abs(e.gain * e.u) * np.sign(e.v))},
+    ]
 
 
 EFFECT = Effect(
@@ -35,7 +38,16 @@ EFFECT = Effect(
     needs=(BOTH_DIRECTIONS,),
     confounded=("gear_loss", "gain_asymmetry", "back_emf"),
     parameters=(
-        Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),
+        Parameter(
+            "load_friction.coefficient",
+            "mu",
+            "1",
+            0.1,
+            0.0,
+            0.99,
+            "friction over transmitted {torque}",
+            "duclusaud2024",
+        ),
     ),
     bound=bound,
     without_truth=DRY_FRICTION,

@@ -8,11 +8,21 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Array, Context, Effect, Evidence, Limits, RecordedMotion
+from bristle.plant.effect import (
+    BOTH_DIRECTIONS,
+    DRY_FRICTION,
+    Array,
+    Context,
+    Effect,
+    Evidence,
+    Limits,
+    RecordedMotion,
+)
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
-    """Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0): friction never drives.
+    """Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0): friction never
+    drives.
 
     Source: armstrong1994 (position-dependent friction; first two terms of its Fourier series).
     """
@@ -27,7 +37,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
     def columns(periods: float) -> Array:
         against = -e.level * np.sign(e.v)
-        return np.column_stack([against * np.sin(periods * e.theta), against * np.cos(periods * e.theta)])
+        return np.column_stack(
+            [against * np.sin(periods * e.theta), against * np.cos(periods * e.theta)]
+        )
 
     return [
         {"amplitude": min(math.hypot(s, c), 0.9), "phase": math.atan2(c, s), "periods": periods}
@@ -36,7 +48,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """On a linear axis at least two periods in the range travelled; once in a turn has a cause in a shaft."""
+    """On a linear axis at least two periods in the range travelled; once in a turn has a cause in a
+    shaft.
+    """
     return {"periods": (m.two_periods, math.inf)} if m.linear else {}
 
 
@@ -52,11 +66,42 @@ EFFECT = Effect(
     needs=(BOTH_DIRECTIONS,),
     confounded=("cogging", "load_friction", "friction_drift"),
     parameters=(
-        Parameter("position_friction.amplitude", "A", "1", 0.4, -1.0, 1.0, "share of the friction that varies", "armstrong1994"),
-        Parameter("position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "{periods}", "armstrong1994"),
-        Parameter("position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"),
-        Parameter("position_friction.sine2", "s2", "1", 0.0, -0.35, 0.35, "share of a second term, sine", "armstrong1994"),
-        Parameter("position_friction.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share of a second term, cosine", "armstrong1994"),
+        Parameter(
+            "position_friction.amplitude",
+            "A",
+            "1",
+            0.4,
+            -1.0,
+            1.0,
+            "share of the friction that varies",
+            "armstrong1994",
+        ),
+        Parameter(
+            "position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "{periods}", "armstrong1994"
+        ),
+        Parameter(
+            "position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"
+        ),
+        Parameter(
+            "position_friction.sine2",
+            "s2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share of a second term, sine",
+            "armstrong1994",
+        ),
+        Parameter(
+            "position_friction.cosine2",
+            "c2",
+            "1",
+            0.0,
+            -0.35,
+            0.35,
+            "share of a second term, cosine",
+            "armstrong1994",
+        ),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     factor=factor,

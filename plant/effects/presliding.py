@@ -18,13 +18,17 @@ def bristles(c: Context) -> tuple[ca.SX, ca.SX]:
 
 
 def displacements(e: Evidence) -> list[float]:
-    """Return displacements [rad] at which bristles may slide: from half a step of the sensor to a tenth of the range."""
+    """Return displacements [rad] at which bristles may slide: from half a step of the sensor to a
+    tenth of the range.
+    """
     widest = max(0.1 * float(np.ptp(e.theta)), 20 * e.resolution)
     return [float(x) for x in np.geomspace(0.5 * e.resolution, widest, 5)]
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return bristles that slide after a few steps of the sensor, up to a good part of the range."""
+    """Return bristles that slide after a few steps of the sensor, up to a good part of the
+    range.
+    """
     return [{"stiffness": e.level / reach} for reach in displacements(e)]
 
 
@@ -40,7 +44,16 @@ EFFECT = Effect(
     needs=(REVERSALS,),
     confounded=("bristle_damping", "stribeck", "backlash", "compliance"),
     parameters=(
-        Parameter("presliding.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),
+        Parameter(
+            "presliding.stiffness",
+            "sigma0",
+            "N.m/rad",
+            0.8,
+            1e-6,
+            1e9,
+            "stiffness of the bristles",
+            "canudas1995",
+        ),
     ),
     bristles=bristles,
     separation="add small, fast motion that never breaks away: only damping makes it lose energy",

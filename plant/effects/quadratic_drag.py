@@ -33,7 +33,16 @@ EFFECT = Effect(
     excitation="a wide range of speeds",
     confounded=("stribeck", "back_emf"),
     parameters=(
-        Parameter("quadratic_drag.coefficient", "c", "N.m.s2/rad2", 2e-4, 0.0, 1e6, "{torque} over speed squared", "white2011"),
+        Parameter(
+            "quadratic_drag.coefficient",
+            "c",
+            "N.m.s2/rad2",
+            2e-4,
+            0.0,
+            1e6,
+            "{torque} over speed squared",
+            "white2011",
+        ),
     ),
     torque=torque,
     off={"coefficient": 0.0},

@@ -25,7 +25,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """Rest at most as far outside the motion as its range: from farther away a spring pulls like a bias."""
+    """Rest at most as far outside the motion as its range: from farther away a spring pulls like a
+    bias.
+    """
     low, high = float(np.min(m.theta)), float(np.max(m.theta))
     return {"rest": (2 * low - high, 2 * high - low)}
 
@@ -41,17 +43,35 @@ EFFECT = Effect(
     excitation="motion over the whole range, in which a spring and gravity differ",
     confounded=("gravity", "hard_stop", "bias"),
     parameters=(
-        Parameter("return_spring.stiffness", "k", "N.m/rad", 0.02, 0.0, 1e9, "stiffness", "spong2006 chapter 6"),
         Parameter(
-            "return_spring.rest", "theta0", "rad", 0.0, -1e6, 1e6, "position at which it does not pull", "spong2006 chapter 6"
+            "return_spring.stiffness",
+            "k",
+            "N.m/rad",
+            0.02,
+            0.0,
+            1e9,
+            "stiffness",
+            "spong2006 chapter 6",
+        ),
+        Parameter(
+            "return_spring.rest",
+            "theta0",
+            "rad",
+            0.0,
+            -1e6,
+            1e6,
+            "position at which it does not pull",
+            "spong2006 chapter 6",
         ),
     ),
     load_side=True,
     torque=torque,
     without_truth=("load",),
     off={"stiffness": 0.0},
-    separation="move it by more than half a turn: a spring pulls the harder the farther it is moved, a weight most where its arm "
-    "is level",
+    separation=(
+        "move it by more than half a turn: a spring pulls the harder the farther it is moved, a"
+        " weight most where its arm is level"
+    ),
     limits=limits,
     starts=starts,
 )

@@ -27,7 +27,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """A limit that a fifth of the input stays below: with less, only the sign of the input is left."""
+    """A limit that a fifth of the input stays below: with less, only the sign of the input is
+    left.
+    """
     return {"limit": (float(np.quantile(np.abs(m.u), 1 - LARGEST_SHARE_CUT)), math.inf)}
 
 
@@ -42,7 +44,16 @@ EFFECT = Effect(
     excitation="peaks of the input",
     confounded=("quadratic_drag", "back_emf"),
     parameters=(
-        Parameter("saturation.limit", "s", "V", 4.0, 0.0, 1e6, "largest input that has an effect", "khalil2002 section 1.2"),
+        Parameter(
+            "saturation.limit",
+            "s",
+            "V",
+            4.0,
+            0.0,
+            1e6,
+            "largest input that has an effect",
+            "khalil2002 section 1.2",
+        ),
     ),
     order=2,
     sparse=True,

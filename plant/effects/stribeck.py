@@ -29,7 +29,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """A curve that has fallen well within the speeds that are seen: otherwise it is a drag by another name."""
+    """A curve that has fallen well within the speeds that are seen: otherwise it is a drag by
+    another name.
+    """
     return {"speed": (0.0, LARGEST_SPEED_SHARE * float(np.quantile(np.abs(m.v), COMMON_SPEEDS)))}
 
 
@@ -50,9 +52,29 @@ EFFECT = Effect(
     excitation="creep and reversals",
     confounded=("quadratic_drag", "dead_zone", "presliding"),
     parameters=(
-        Parameter("stribeck.excess", "e", "1", 0.5, -1.0, 100.0, "static over Coulomb friction, less one", "armstrong1994"),
-        Parameter("stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"),
-        Parameter("stribeck.exponent", "n", "1", 2.0, 0.5, 4.0, "of the velocity in the Stribeck curve", "armstrong1994"),
+        Parameter(
+            "stribeck.excess",
+            "e",
+            "1",
+            0.5,
+            -1.0,
+            100.0,
+            "static over Coulomb friction, less one",
+            "armstrong1994",
+        ),
+        Parameter(
+            "stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"
+        ),
+        Parameter(
+            "stribeck.exponent",
+            "n",
+            "1",
+            2.0,
+            0.5,
+            4.0,
+            "of the velocity in the Stribeck curve",
+            "armstrong1994",
+        ),
     ),
     shape_starts=({"exponent": 2.0},),
     factor=factor,

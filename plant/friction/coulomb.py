@@ -21,5 +21,9 @@ LAW = FrictionLaw(
     "set-valued Coulomb and viscous friction",
     "dixit2008 eq. (23)",
     equations,
-    parameters=(Parameter("coulomb.Fc", "Fc", "N.m", 0.004, 0.0, 1e6, "Coulomb friction", "dixit2008 eq. (23)"),),
+    parameters=(
+        Parameter(
+            "coulomb.Fc", "Fc", "N.m", 0.004, 0.0, 1e6, "Coulomb friction", "dixit2008 eq. (23)"
+        ),
+    ),
 )

@@ -13,14 +13,20 @@ from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 SX = ca.SX
 
 CITATION = "dixit2008 eq. (17)"
-_TAU = "bristle damping over stiffness; above 1/(c v), v the speed, friction leads where it should lag"
-_DEFAULTS = {"gaussian": (600.0, 800.0, 300.0), "polynomial": (1000.0, -60.0, 2.0)}  # sigma0, sigma1, sigma2
+_TAU = (
+    "bristle damping over stiffness; above 1/(c v), v the speed, friction leads where it should lag"
+)
+# sigma0, sigma1, sigma2
+_DEFAULTS = {"gaussian": (600.0, 800.0, 300.0), "polynomial": (1000.0, -60.0, 2.0)}
 
 
-def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count: int = BASIS_COUNT) -> FrictionLaw:
+def modified(
+    name: str, family: str, basis: Callable[[SX, int], list[SX]], count: int = BASIS_COUNT
+) -> FrictionLaw:
     """Return the law with `count` functions of a family.
 
-    w is the friction acceleration F/J without the viscous part; tau adds bristle damping, tau = 0 is the paper's law.
+    w is the friction acceleration F/J without the viscous part; tau adds bristle damping, tau = 0
+    is the paper's law.
     """
 
     def equations(p: Namespace, v: SX) -> Friction:
@@ -29,10 +35,13 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         Source: dixit2008 eq. (15) and (17); tau extends remark 5.
         """
         scaled = v / p.width if family == "gaussian" else v
-        k = p.sigma0 + sum(p[f"sigma{i}"] * phi for i, phi in enumerate(basis(scaled, count), start=1))
+        k = p.sigma0 + sum(
+            p[f"sigma{i}"] * phi for i, phi in enumerate(basis(scaled, count), start=1)
+        )
         dw = k * v - p.c * ca.fabs(v) * p.w
         true = {f"sigma{i}": p[f"sigma{i}"] for i in range(count + 1)} | {"c": p.c, "tau": p.tau}
-        if family == "gaussian":  # the functions vanish at high speed, so that Coulomb friction is sigma0/c
+        # the functions vanish at high speed, so that Coulomb friction is sigma0/c
+        if family == "gaussian":
             true |= {"Fc": p.sigma0 / p.c, "width": p.width}
             last = ca.fmax(ca.fabs(p[f"sigma{count}"]), 1e-12 * p.sigma0)
             true["vc"] = p.width * gaussian_end(NEGLIGIBLE * p.sigma0 / last, count)
@@ -42,9 +51,27 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
 
     values = (*_DEFAULTS[family], *[0.0] * count)
     sigma = [
-        Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", CITATION),
+        Parameter(
+            f"{name}.sigma0",
+            "sigma0",
+            "1/s2",
+            values[0],
+            1e-6,
+            1e9,
+            "stiffness over inertia",
+            CITATION,
+        ),
         *(
-            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], -1e9, 1e9, f"weight of basis function {i}", CITATION)
+            Parameter(
+                f"{name}.sigma{i}",
+                f"sigma{i}",
+                "1/s2",
+                values[i],
+                -1e9,
+                1e9,
+                f"weight of basis function {i}",
+                CITATION,
+            )
             for i in range(1, count + 1)
         ),
     ]
@@ -55,11 +82,27 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         equations,
         parameters=(
             *sigma,
-            Parameter(f"{name}.c", "c", "1/rad", 150.0, 1e-6, 1e9, "inverse presliding distance", "dixit2008 eq. (17)"),
+            Parameter(
+                f"{name}.c",
+                "c",
+                "1/rad",
+                150.0,
+                1e-6,
+                1e9,
+                "inverse presliding distance",
+                "dixit2008 eq. (17)",
+            ),
             Parameter(f"{name}.tau", "tau", "s", 0.0, 0.0, 10.0, _TAU, "dixit2008 eq. (11)"),
             *([width_parameter(name)] if family == "gaussian" else []),
         ),
-        states=(State("w", "rad/s2", "friction acceleration without the viscous part", scale=lambda p: p.sigma0 / p.c),),
+        states=(
+            State(
+                "w",
+                "rad/s2",
+                "friction acceleration without the viscous part",
+                scale=lambda p: p.sigma0 / p.c,
+            ),
+        ),
     )
 
 

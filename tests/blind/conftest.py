@@ -1,4 +1,6 @@
-"""The blind test is a program, not a package: its folder goes on the path, and the one that it shares."""
+"""The blind test is a program, not a package: its folder goes on the path, and the one that it
+shares.
+"""
 
 from __future__ import annotations
 

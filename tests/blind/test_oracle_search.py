@@ -10,7 +10,12 @@ ANSWER = {
     "case": 7,
     "group": "pair",
     "effects": [
-        {"name": "gravity", "class": "gravity", "form": "same", "parameters": {"amplitude": 0.2, "phase": None}},
+        {
+            "name": "gravity",
+            "class": "gravity",
+            "form": "same",
+            "parameters": {"amplitude": 0.2, "phase": None},
+        },
         {"name": "dead_zone", "class": "dead_zone", "form": "same", "parameters": {}},
     ],
 }
@@ -18,7 +23,8 @@ ANSWER = {
 
 def test_an_answer_becomes_start_values_and_effort() -> None:
     options = SearchOptions(**known_answer(ANSWER))
-    assert options.start_values == {"gravity": [{"amplitude": 0.2}]}  # no parameter of the dead zone is known
+    # no parameter of the dead zone is known
+    assert options.start_values == {"gravity": [{"amplitude": 0.2}]}
     assert set(options.exhaustive) == {"gravity", "dead_zone"}
     assert options.test_input_hold
 
@@ -26,10 +32,14 @@ def test_an_answer_becomes_start_values_and_effort() -> None:
 def test_cases_right_with_the_answer_known_are_counted_apart_from_refused_ones() -> None:
     said = {"verdict": "named", "effects": [{"name": "gravity"}], "ties": []}
     last = {"added": None, "rejected": "dead_zone"}
-    refused = said | {"rounds": [last | {"candidates": [{"name": "dead_zone", "gain": 30.0, "level": 10.0}]}]}
+    refused = said | {
+        "rounds": [last | {"candidates": [{"name": "dead_zone", "gain": 30.0, "level": 10.0}]}]
+    }
     right = said | {"effects": [{"name": "gravity"}, {"name": "dead_zone"}], "rounds": []}
     other = ANSWER | {"case": 8}
-    lines = table([(ANSWER, said), (other, said)], lambda answer: right if answer["case"] == 7 else refused).splitlines()
+    lines = table(
+        [(ANSWER, said), (other, said)], lambda answer: right if answer["case"] == 7 else refused
+    ).splitlines()
     counts = dict(zip(lines[0].split(" | "), lines[2].split(" | "), strict=True))
     assert counts["not right"] == "2"
     assert counts["right with the answer known"] == "1"

@@ -25,28 +25,53 @@ def effect(name: str, **parameters: float) -> Json:
 
 
 def answer(group: str, *effects: Json, variant: str | None = None, ratio: float = 5.0) -> Json:
-    kind = {"same": "single", "other": "single", "low": "single", "faint": "single"}.get(group, group)
+    kind = {"same": "single", "other": "single", "low": "single", "faint": "single"}.get(
+        group, group
+    )
     gap = {"base": ratio, "floor": 1.0, "ratio": ratio}
-    return {"kind": kind, "group": group, "variant": variant, "effects": list(effects), "gap": gap, "rejected": [],
-            "fields": {}}  # fmt: skip
+    return {
+        "kind": kind,
+        "group": group,
+        "variant": variant,
+        "effects": list(effects),
+        "gap": gap,
+        "rejected": [],
+        "fields": {},
+    }
 
 
-def result(verdict: str, *effects: Json, flag: bool = False, ties: list[list[str]] | None = None) -> Json:
+def result(
+    verdict: str, *effects: Json, flag: bool = False, ties: list[list[str]] | None = None
+) -> Json:
     found = []
     for e in effects:
         near = {k: {"value": v, "ci95": [v - 0.1, v + 0.1]} for k, v in e["parameters"].items()}
         found.append({"name": e["name"], "class": e["class"], "parameters": near})
     remains = {"flag": flag, "view": None, "share": 0.0}
-    return {"verdict": verdict, "effects": found, "ties": ties or [], "remains": remains, "gap": {"shrink": 1.0}, "seconds": 2.0}
+    return {
+        "verdict": verdict,
+        "effects": found,
+        "ties": ties or [],
+        "remains": remains,
+        "gap": {"shrink": 1.0},
+        "seconds": 2.0,
+    }
 
 
-GRAVITY, COGGING, BIAS = effect("gravity", amplitude=0.3, phase=1.0), effect("cogging", amplitude=0.2), effect("bias", torque=0.5)
+GRAVITY, COGGING, BIAS = (
+    effect("gravity", amplitude=0.3, phase=1.0),
+    effect("cogging", amplitude=0.2),
+    effect("bias", torque=0.5),
+)
 
 
 def perfect() -> list[Pair]:
     """Return a run without a fault, of every group."""
     ratios = {"same": 5.0, "other": 9.0, "low": 1.5, "faint": 1.2}
-    one = [(answer(group, GRAVITY, ratio=ratio), result("named", GRAVITY)) for group, ratio in ratios.items()]
+    one = [
+        (answer(group, GRAVITY, ratio=ratio), result("named", GRAVITY))
+        for group, ratio in ratios.items()
+    ]
     return [
         *(deepcopy(pair) for pair in one for _ in range(300)),
         *((answer("control", variant="noise_only"), result("none")) for _ in range(240)),
@@ -57,7 +82,9 @@ def perfect() -> list[Pair]:
 
 
 def unmet(pairs: list[Pair]) -> set[str]:
-    return {figure.name for figure in figures([Judged(*pair) for pair in pairs]) if figure.met is False}
+    return {
+        figure.name for figure in figures([Judged(*pair) for pair in pairs]) if figure.met is False
+    }
 
 
 def spoil(group: str, count: int, change: Callable[[Json], None]) -> set[str]:
@@ -73,7 +100,8 @@ def says(verdict: str, *effects: Json, **more: Any) -> Callable[[Json], None]:
 
 
 def test_a_faultless_run_meets_every_goal_but_that_of_intervals() -> None:
-    assert unmet(perfect()) == {"95 % intervals that cover the truth, own form"}  # all of them cover: too wide
+    # all of them cover: too wide
+    assert unmet(perfect()) == {"95 % intervals that cover the truth, own form"}
 
 
 def test_few_intervals_that_all_cover_the_truth_are_not_too_wide() -> None:
@@ -84,7 +112,12 @@ def test_few_intervals_that_all_cover_the_truth_are_not_too_wide() -> None:
     ("group", "allowed", "change", "goal"),
     [
         ("same", 3, says("none"), "not named right, own form, ratio >= 2"),
-        ("other", 9, says("tie", ties=[["gravity", "bias"]]), "not named right, other form, ratio >= 2"),
+        (
+            "other",
+            9,
+            says("tie", ties=[["gravity", "bias"]]),
+            "not named right, other form, ratio >= 2",
+        ),
         ("low", 45, says("none"), "named right, ratio 1.3 to 2"),
         ("control", 1, says("named", BIAS), "false alarm on a control (anything named)"),
         ("outside", 1, says("named", BIAS), "outside: misnamed without a flag"),
@@ -126,7 +159,12 @@ def test_a_name_of_the_same_class_is_right_but_not_strictly() -> None:
 
 def test_other_forms_are_counted_apart_by_whether_the_catalogue_can_take_them() -> None:
     stop = effect("hard_stop", stiffness=1.0)
-    drawn = [(GRAVITY, {}), (COGGING, {}), (stop, {"hard_stop_kind": 1.0}), (stop, {"hard_stop_kind": 2.0})]
+    drawn = [
+        (GRAVITY, {}),
+        (COGGING, {}),
+        (stop, {"hard_stop_kind": 1.0}),
+        (stop, {"hard_stop_kind": 2.0}),
+    ]
     pairs = [(answer("other", e) | {"fields": fields}, result("none")) for e, fields in drawn]
     found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
     for words in ("the catalogue can take", "it cannot take"):
@@ -138,7 +176,12 @@ def test_one_of_two_is_in_part_and_none_is_no_help_on_poor_records() -> None:
     silent = result("none") | {"experiment": "record steps of many sizes"}
     pairs = [(answer("poor", GRAVITY), silent)]
     found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
-    assert found["poor excitation: truth neither named nor in the tie, nor called not identifiable"].count == 1
+    assert (
+        found[
+            "poor excitation: truth neither named nor in the tie, nor called not identifiable"
+        ].count
+        == 1
+    )
 
 
 def test_the_class_is_the_scorers_own() -> None:
@@ -171,7 +214,15 @@ def test_tables_are_complete() -> None:
     head, markdown, data = tables(perfect())
     assert "| figure | value |" in head
     assert data["cases"] == len(perfect())
-    for head in ("Outcomes", "By gap ratio", "By effect", "Controls", "Outside the catalogue", "Confusion", "Parameters"):
+    for head in (
+        "Outcomes",
+        "By gap ratio",
+        "By effect",
+        "Controls",
+        "Outside the catalogue",
+        "Confusion",
+        "Parameters",
+    ):
         assert f"## {head}" in markdown
     json.dumps(data, allow_nan=False)
 

@@ -1,4 +1,6 @@
-"""The hidden truth: independent, physical, reproducible; and the gap ratio that says how visible an effect is."""
+"""The hidden truth: independent, physical, reproducible; and the gap ratio that says how visible an
+effect is.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,24 @@ from cases import SIZES, adapt, draw, plan, write
 from forms import EFFECTS, PARAMETERS, Setting
 from gap import measure
 from scene import SAMPLES, Scene, draw_scene
-from truth import DISPLACEMENT, PERIOD, PLANT_FIELDS, Plant, Record, base_friction, replay, state_count, struct
+from truth import (
+    DISPLACEMENT,
+    PERIOD,
+    PLANT_FIELDS,
+    Plant,
+    Record,
+    base_friction,
+    replay,
+    state_count,
+    struct,
+)
 
 from bristle.model.variables import Parameter
 from bristle.plant.effects import effects
 
-SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
+SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))[
+    "effects"
+]
 
 JUDGES = (
     "run.py",
@@ -42,7 +56,9 @@ def push(torque: float, speed: float = 0.0, **fields: float) -> np.ndarray:
     """Return half a second of position under a constant torque, from rest or sliding."""
     record = Record(0.0, np.full(500, torque), np.zeros(500), np.zeros((500, state_count())))
     record.states[0, 1:3] = speed, DISPLACEMENT if speed else 0.0
-    return replay({**STIFF, **fields}, record, np.zeros(1, dtype=np.int64), record.states[:1], 500, 5e-5)[0]
+    return replay(
+        {**STIFF, **fields}, record, np.zeros(1, dtype=np.int64), record.states[:1], 500, 5e-5
+    )[0]
 
 
 def test_it_imports_nothing_of_what_it_judges() -> None:
@@ -53,7 +69,12 @@ def test_it_imports_nothing_of_what_it_judges() -> None:
 
 
 def test_parameters_are_those_of_the_catalogue() -> None:
-    known = {p.name for effect in effects().values() for p in effect.parameters if isinstance(p, Parameter)}
+    known = {
+        p.name
+        for effect in effects().values()
+        for p in effect.parameters
+        if isinstance(p, Parameter)
+    }
     assert {f"{name}.{p}" for name, each in PARAMETERS.items() for p in each} <= known
     assert set(EFFECTS) == set(PARAMETERS) == set(SHIPPED) - {"back_emf"}
     assert {f"{name}_{p}" for name, each in PARAMETERS.items() for p in each} <= PLANT_FIELDS
@@ -135,7 +156,9 @@ def test_a_case_contains_nothing_but_its_records(tmp_path: Path) -> None:
         folder = tmp_path / "cases" / f"{spec.index:05d}"
         assert sorted(p.name for p in folder.iterdir()) == ["a.npz", "b.npz", "model.toml"]
         with np.load(folder / "b.npz") as record:
-            shown.append([(name, record[name].shape, str(record[name].dtype)) for name in record.files])
+            shown.append(
+                [(name, record[name].shape, str(record[name].dtype)) for name in record.files]
+            )
             assert record["t"][0] == 25.0
         text = (folder / "model.toml").read_text(encoding="utf-8")
         shown.append(re.sub(r"= [-\d.e\[\], ]+", "=", text))

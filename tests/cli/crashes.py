@@ -1,8 +1,9 @@
-"""Runs commands, each in a fork of this process, which has imported everything, and kills it at one of its changes of files.
+"""Runs commands, each in a fork of this process, which has imported everything, and kills it at one
+of its changes of files.
 
-A job is a line of JSON on the standard input: `arguments`, `cwd`, `env`, `point` (-1: it is not killed) and `here` (in this
-process, which then knows the diagnosis and its files). The answer is a line: `code` (negative: a signal), and `seen`, the number
-of changes.
+A job is a line of JSON on the standard input: `arguments`, `cwd`, `env`, `point` (-1: it is not
+killed) and `here` (in this process, which then knows the diagnosis and its files). The answer is a
+line: `code` (negative: a signal), and `seen`, the number of changes.
 """
 
 import ctypes

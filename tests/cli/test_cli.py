@@ -50,7 +50,14 @@ def cli(temporary: Path, compiled: None) -> Cli:
 
     def call(*arguments: object) -> subprocess.CompletedProcess[str]:
         environment = {**os.environ, "TMPDIR": str(temporary)}
-        done = subprocess.run(command(arguments), capture_output=True, text=True, env=environment, timeout=300, check=False)
+        done = subprocess.run(
+            command(arguments),
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=300,
+            check=False,
+        )
         assert os.listdir(temporary) == []
         assert "Traceback" not in done.stderr or "--debug" in arguments
         return done
@@ -59,8 +66,12 @@ def cli(temporary: Path, compiled: None) -> Cli:
 
 
 @pytest.fixture
-def inside(call: Callable[..., tuple[int, str, str]], temporary: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
-    """As `cli`, but in this process, which has imported everything: for what the start of a process cannot change."""
+def inside(
+    call: Callable[..., tuple[int, str, str]], temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> Cli:
+    """As `cli`, but in this process, which has imported everything: for what the start of a process
+    cannot change.
+    """
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -101,53 +112,91 @@ def one_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
 def test_errors_are_2_and_one_line(cli: Cli, inside: Cli, case: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     one_line(cli("run", tmp_path / "nowhere.toml", "--out", out), "nowhere.toml", "No such file")
-    one_line(inside("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"), "plant.parameters.J", "outside")
+    one_line(
+        inside("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"),
+        "plant.parameters.J",
+        "outside",
+    )
     one_line(inside("run", case, "--out", case), "output folder", str(case))
     one_line(inside("run", case, case, "--out", out), "given 2 times")
     one_line(inside("run", tmp_path, "--out", out), "is a folder; give a scenario file")
-    one_line(inside("run", case, "--out", out, "--seed", "-1"), "controller.parameters.seed = -1: outside [1, 2147483646]; choose")
-    one_line(inside("run", case, "--out", out, "--sed", "3"), "No such option: --sed (Possible options: --seed)")
+    one_line(
+        inside("run", case, "--out", out, "--seed", "-1"),
+        "controller.parameters.seed = -1: outside [1, 2147483646]; choose",
+    )
+    one_line(
+        inside("run", case, "--out", out, "--sed", "3"),
+        "No such option: --sed (Possible options: --seed)",
+    )
     one_line(inside("run", case, "--foo"), "No such option: --foo; see bristle run --help")
-    one_line(inside("run", case, "--out", out, "--set", "duration=-1"), 'write a unit behind the number, such as "1 s"')
+    one_line(
+        inside("run", case, "--out", out, "--set", "duration=-1"),
+        'write a unit behind the number, such as "1 s"',
+    )
     one_line(inside("run", case, "--out", out, "--fmi", "4"), "--fmi")
     one_line(inside("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
     one_line(inside("dance"), "dance")
-    one_line(inside("diagnos"), "No such command 'diagnos' (did you mean 'diagnose'?); see bristle --help")
+    one_line(
+        inside("diagnos"),
+        "No such command 'diagnos' (did you mean 'diagnose'?); see bristle --help",
+    )
     one_line(cli(), "list, build, run")
     one_line(inside("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
-    one_line(inside("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
-    one_line(inside("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
+    one_line(
+        inside("build", "plant", "--effects", "coging", "--out", out),
+        "unknown effect 'coging'",
+        "did you mean 'cogging'",
+    )
+    one_line(
+        inside("build", "observer", "--effects", "bias", "--out", out),
+        "the observer has no effects to add",
+    )
     assert not out.exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "option"),
     [
-        (["run", "quick", "--out", ""], "--out"), (["run", "quick", "--out="], "--out"), (["run", ""], "SCENARIO"),
-        (["build", "controller", "--out", ""], "--out"), (["reproduce", "--out", ""], "--out"),
-        (["diagnose", "m.toml", "--data", "a.csv", "--out", ""], "--out"), (["diagnose", "m.toml", "--data", ""], "--data"),
-        (["diagnose", "", "--data", "a.csv"], "MODEL.toml"), (["diagnose", "--fmu", "", "--data", "a.csv"], "--fmu"),
+        (["run", "quick", "--out", ""], "--out"),
+        (["run", "quick", "--out="], "--out"),
+        (["run", ""], "SCENARIO"),
+        (["build", "controller", "--out", ""], "--out"),
+        (["reproduce", "--out", ""], "--out"),
+        (["diagnose", "m.toml", "--data", "a.csv", "--out", ""], "--out"),
+        (["diagnose", "m.toml", "--data", ""], "--data"),
+        (["diagnose", "", "--data", "a.csv"], "MODEL.toml"),
+        (["diagnose", "--fmu", "", "--data", "a.csv"], "--fmu"),
     ],
-)  # fmt: skip
+)
 def test_an_empty_path_is_not_the_current_folder(
     inside: Cli, arguments: list[str], option: str, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(temporary)  # of which `inside` demands that it stays empty
-    one_line(inside(*arguments), f"Invalid value for '{option}': it is empty; give a path; see bristle {arguments[0]} --help")
+    one_line(
+        inside(*arguments),
+        f"Invalid value for '{option}': it is empty; give a path; see bristle {arguments[0]}"
+        " --help",
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "option"),
     [
-        (["test", "quick", "--json", "-"], "--json"), (["test", "quick", "--junit", "-"], "--junit"), (["run", "-"], "SCENARIO"),
-        (["check", "a.fmu", "--json", "-"], "--json"), (["diff", "a.fmu", "b.fmu", "--json", "-"], "--json"),
+        (["test", "quick", "--json", "-"], "--json"),
+        (["test", "quick", "--junit", "-"], "--junit"),
+        (["run", "-"], "SCENARIO"),
+        (["check", "a.fmu", "--json", "-"], "--json"),
+        (["diff", "a.fmu", "b.fmu", "--json", "-"], "--json"),
     ],
-)  # fmt: skip
+)
 def test_a_hyphen_is_no_file(
     inside: Cli, arguments: list[str], option: str, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(temporary)
-    one_line(inside(*arguments), f"Invalid value for '{option}': - is no path; give that of a file, such as /dev/stdout")
+    one_line(
+        inside(*arguments),
+        f"Invalid value for '{option}': - is no path; give that of a file, such as /dev/stdout",
+    )
 
 
 def test_results_are_in_out_where_no_folder_is_given(
@@ -162,7 +211,10 @@ def test_results_are_in_out_where_no_folder_is_given(
 
 def test_a_model_file_is_no_scenario(inside: Cli, tmp_path: Path) -> None:
     model = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07" / "model.toml"
-    one_line(inside("run", model, "--out", tmp_path / "out"), "is a model file, no scenario file; give it to bristle diagnose")
+    one_line(
+        inside("run", model, "--out", tmp_path / "out"),
+        "is a model file, no scenario file; give it to bristle diagnose",
+    )
 
 
 def test_a_scenario_is_no_model_file(inside: Cli, case: Path, tmp_path: Path) -> None:
@@ -171,18 +223,25 @@ def test_a_scenario_is_no_model_file(inside: Cli, case: Path, tmp_path: Path) ->
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe with a name")
-def test_what_could_be_read_for_ever_is_no_file(tmp_path: Path, inside: Cli, case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_could_be_read_for_ever_is_no_file(
+    tmp_path: Path, inside: Cli, case: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("pipe", "pipe.toml", "pipe.ssp"):
         os.mkfifo(tmp_path / name)
     for given in ("pipe", "pipe.toml", "pipe.ssp", "/dev/zero"):
-        one_line(inside("run", given, "--out", "out"), f"{given}: is not a regular file but a pipe or device; write")
+        one_line(
+            inside("run", given, "--out", "out"),
+            f"{given}: is not a regular file but a pipe or device; write",
+        )
     one_line(inside("validate", "pipe.toml", "--data", case), "pipe.toml: is not a regular file")
     (tmp_path / "result.json").symlink_to("/dev/zero")
     one_line(inside("compare", tmp_path, tmp_path), "result.json: is not a regular file")
 
 
-def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_no_scenario_but_hides_none(
+    tmp_path: Path, inside: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("mine", "quick"):
         (tmp_path / name).mkdir()
@@ -193,7 +252,11 @@ def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, mon
 def test_the_command_line_is_a_module_too_and_has_a_short_help(tmp_path: Path) -> None:
     for arguments in (["--version"], ["-h"], ["run", "-h"]):
         done = subprocess.run(
-            [sys.executable, "-m", "bristle", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+            [sys.executable, "-m", "bristle", *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith("bristle " if arguments == ["--version"] else "Usage: ")
@@ -244,13 +307,18 @@ min = -1e9
     done = cli("run", old, "--out", tmp_path / "out")
     assert done.returncode in (0, 1)
     [line] = done.stderr.splitlines()
-    assert line.startswith(f"bristle: {old}: record: the keys u, theta are deprecated; write u as [record.input]")
+    assert line.startswith(
+        f"bristle: {old}: record: the keys u, theta are deprecated; write u as [record.input]"
+    )
     result = json.loads((tmp_path / "out/old/result.json").read_text())
     assert f"bristle: {result['notes'][0]}" == line
 
 
 def test_what_was_found_in_a_record_is_printed(inside: Cli, tmp_path: Path) -> None:
-    rows = [f"{0.001 * k + 0.0001 * math.sin(k * k)},{math.sin(0.02 * k)},{math.cos(0.01 * k)}" for k in range(500)]
+    rows = [
+        f"{0.001 * k + 0.0001 * math.sin(k * k)},{math.sin(0.02 * k)},{math.cos(0.01 * k)}"
+        for k in range(500)
+    ]
     (tmp_path / "r.csv").write_text("\n".join(["t,u,y", *rows]))
     scenario = tmp_path / "recorded.toml"
     scenario.write_text("""
@@ -271,31 +339,55 @@ min = 100
     assert note[4:] in json.loads((tmp_path / "out/recorded/result.json").read_text())["notes"]
 
 
-def test_all_scenarios_are_checked_before_the_first_runs(inside: Cli, case: Path, tmp_path: Path) -> None:
+def test_all_scenarios_are_checked_before_the_first_runs(
+    inside: Cli, case: Path, tmp_path: Path
+) -> None:
     """Paths, keys, and what only the FMUs can tell; all that are wrong are named."""
     keys, fmus = tmp_path / "keys.toml", tmp_path / "fmus.toml"
     keys.write_text("duration = 3")
     fmus.write_text(case.read_text().replace("modified", "honey"))
     done = inside("run", case, tmp_path / "nowhere.toml", keys, fmus, "--out", tmp_path / "out")
     assert (done.returncode, done.stdout) == (2, "")
-    assert [line.split(": ")[1] for line in done.stderr.splitlines()] == [str(tmp_path / "nowhere.toml"), str(keys), str(fmus)]
+    assert [line.split(": ")[1] for line in done.stderr.splitlines()] == [
+        str(tmp_path / "nowhere.toml"),
+        str(keys),
+        str(fmus),
+    ]
     assert not (tmp_path / "out").exists()
 
 
 def test_a_scenario_is_found_by_its_name(inside: Cli, case: Path, tmp_path: Path) -> None:
-    done = inside("run", "quick", "--out", tmp_path / "out", "--set", "duration=1 s", "--set", "checks.0.max_abs=1e9")
+    done = inside(
+        "run",
+        "quick",
+        "--out",
+        tmp_path / "out",
+        "--set",
+        "duration=1 s",
+        "--set",
+        "checks.0.max_abs=1e9",
+    )
     assert done.stdout.split()[0] == "quick"
     assert (tmp_path / "out" / "quick" / "report.html").is_file()
-    one_line(inside("run", "quik", "--out", tmp_path / "out"), "scenario 'quik'", "did you mean 'quick'", "give a path or one of")
+    one_line(
+        inside("run", "quik", "--out", tmp_path / "out"),
+        "scenario 'quik'",
+        "did you mean 'quick'",
+        "give a path or one of",
+    )
 
 
-def test_a_scenario_of_a_plugin_folder_is_found_by_its_name(monkeypatch: pytest.MonkeyPatch, case: Path, tmp_path: Path) -> None:
+def test_a_scenario_of_a_plugin_folder_is_found_by_its_name(
+    monkeypatch: pytest.MonkeyPatch, case: Path, tmp_path: Path
+) -> None:
     (tmp_path / "scenarios").mkdir()
     mine = case.rename(tmp_path / "scenarios" / "mine.toml")
     monkeypatch.setenv("BRISTLE_PLUGINS", str(tmp_path))
     assert find_scenario(Path("mine")) == mine
     mine.rename(tmp_path / "scenarios" / "quick.toml")
-    with pytest.raises(BristleError, match=f"{tmp_path}/scenarios/quick.toml: a scenario is called 'quick' already"):
+    with pytest.raises(
+        BristleError, match=f"{tmp_path}/scenarios/quick.toml: a scenario is called 'quick' already"
+    ):
         find_scenario(Path("quick"))
 
 
@@ -306,12 +398,23 @@ def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Pa
 
 
 def test_what_is_compiled_is_told_once_although_nobody_looks(case: Path, tmp_path: Path) -> None:
-    """On the error output, so that a pipe of the verdicts has none of it; the cache is empty at first."""
+    """On the error output, so that a pipe of the verdicts has none of it; the cache is empty at
+    first.
+    """
     environment = {**os.environ, "BRISTLE_CACHE": str(tmp_path / "cache")}
-    case.write_text(case.read_text().replace('law = "modified"', f'fmu = "{obtain("plant", law="modified")}"'))
-    case.write_text(case.read_text().replace('method = "bastin_gevers"', f'fmu = "{obtain("observer", method="bastin_gevers")}"'))
+    case.write_text(
+        case.read_text().replace('law = "modified"', f'fmu = "{obtain("plant", law="modified")}"')
+    )
+    case.write_text(
+        case.read_text().replace(
+            'method = "bastin_gevers"', f'fmu = "{obtain("observer", method="bastin_gevers")}"'
+        )
+    )
     build = command(["run", case, "--out", tmp_path / "out"])
-    for lines in (["bristle: compiling an FMU (controller) once; later runs take it from the cache"], []):
+    for lines in (
+        ["bristle: compiling an FMU (controller) once; later runs take it from the cache"],
+        [],
+    ):
         done = subprocess.run(build, capture_output=True, text=True, env=environment, check=False)
         assert done.stderr.splitlines() == lines
         assert "compiling" not in done.stdout
@@ -319,10 +422,15 @@ def test_what_is_compiled_is_told_once_although_nobody_looks(case: Path, tmp_pat
 
 def test_list_compiles_nothing(tmp_path: Path) -> None:
     environment = {**os.environ, "BRISTLE_CACHE": str(tmp_path / "cache")}
-    done = subprocess.run(command(["list"]), capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(
+        command(["list"]), capture_output=True, text=True, env=environment, check=False
+    )
     assert (done.returncode, done.stderr, (tmp_path / "cache").exists()) == (0, "", False)
     heavy = ["scipy.signal", "fmpy", "matplotlib", "pythonfmu"]
-    code = "import sys; import bristle.cli.commands; from bristle.cli.app import app; app(['list'], standalone_mode=False); "
+    code = (
+        "import sys; import bristle.cli.commands; from bristle.cli.app import app; app(['list'],"
+        " standalone_mode=False); "
+    )
     code += f"print({{*{heavy}}} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
@@ -345,7 +453,18 @@ def test_build_writes_readable_fmus(cli: Cli, inside: Cli, tmp_path: Path) -> No
     assert read_model_description(lean.stdout.strip()).modelName == "ServoPlant_viscous"
     assert sorted(os.listdir(tmp_path / "fmus")) == ["Controller.fmu", "ServoPlant_viscous.fmu"]
     more = inside(
-        "build", "plant", "--law", "lugre", "--effects", "cogging", "--effects", " bias", "--fmi", "3", "--out", tmp_path / "fmus"
+        "build",
+        "plant",
+        "--law",
+        "lugre",
+        "--effects",
+        "cogging",
+        "--effects",
+        " bias",
+        "--fmi",
+        "3",
+        "--out",
+        tmp_path / "fmus",
     )
     found = {v.name: v for v in read_model_description(more.stdout.strip()).modelVariables}
     assert more.stdout.strip().endswith("ServoPlant_lugre_bias_cogging.fmu")
@@ -364,7 +483,12 @@ def test_help_is_quick(cli: Cli) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize(
     ("number", "stage"),
-    [(signal.SIGINT, "simulation"), (signal.SIGTERM, "simulation"), (signal.SIGINT, "fits"), (signal.SIGINT, "child")],
+    [
+        (signal.SIGINT, "simulation"),
+        (signal.SIGTERM, "simulation"),
+        (signal.SIGINT, "fits"),
+        (signal.SIGINT, "child"),
+    ],
 )
 def test_an_interrupt_is_one_line_and_leaves_nothing(
     number: int, stage: str, case: Path, tmp_path: Path, temporary: Path, inside: Cli
@@ -376,14 +500,32 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(
     before = (out / "case" / "result.json").read_text()
     long = ["--set", "duration=4000 s"]
     if stage == "fits":
-        long = ["--set", "duration=300 s", "--set", "plant.law=lugre", "--set", "validation.duration=100 s"]
+        long = [
+            "--set",
+            "duration=300 s",
+            "--set",
+            "plant.law=lugre",
+            "--set",
+            "validation.duration=100 s",
+        ]
     if stage == "child":
         case.write_text(case.read_text().replace('law = "modified"', 'fmu = "foreign.fmu"'))
         build("plant", tmp_path / "foreign.fmu", law="modified")
     environment = {**os.environ, "TMPDIR": str(temporary)}
-    running = subprocess.Popen(command(["run", case, "--out", out, *long]), stderr=subprocess.PIPE, text=True, env=environment)
-    prefix, count = {"simulation": (".bristle-fmu-", 3), "fits": (".bristle-fmu-", 2), "child": (".bristle-run-", 1)}[stage]
-    _wait_for(lambda: sum(name.startswith(prefix) for name in os.listdir(temporary)) == count, running)
+    running = subprocess.Popen(
+        command(["run", case, "--out", out, *long]),
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    prefix, count = {
+        "simulation": (".bristle-fmu-", 3),
+        "fits": (".bristle-fmu-", 2),
+        "child": (".bristle-run-", 1),
+    }[stage]
+    _wait_for(
+        lambda: sum(name.startswith(prefix) for name in os.listdir(temporary)) == count, running
+    )
     if stage == "fits":  # the drives come after the co-simulation's three
         _wait_for(lambda: len(os.listdir(temporary)) == 2, running)
     time.sleep(0.3)
@@ -393,7 +535,8 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(
     assert os.listdir(temporary) == []
     assert os.listdir(out) == ["case"]
     assert (out / "case" / "result.json").read_text() == before
-    until = time.monotonic() + 10  # a child that was only just being started ends when it finds its parent gone
+    # a child that was only just being started ends when it finds its parent gone
+    until = time.monotonic() + 10
     while (left := _children_of(temporary)) and time.monotonic() < until:
         time.sleep(0.05)
     assert not left

@@ -25,10 +25,15 @@ def kept(call: Call, case: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_rerun_is_the_same_and_a_change_is_not(call: Call, case: Path, kept: Path, tmp_path: Path) -> None:
+def test_a_rerun_is_the_same_and_a_change_is_not(
+    call: Call, case: Path, kept: Path, tmp_path: Path
+) -> None:
     stored = json.loads((kept / "baseline.json").read_text(encoding="utf-8"))
     assert stored["provenance"]["command"].startswith("bristle accept ")
-    assert stored["provenance"]["scenario_sha256"] == hashlib.sha256((kept / "scenario.toml").read_bytes()).hexdigest()
+    assert (
+        stored["provenance"]["scenario_sha256"]
+        == hashlib.sha256((kept / "scenario.toml").read_bytes()).hexdigest()
+    )
     runs = stored["runs"]
     names = [each["name"] for each in runs if not each["why"]]
     assert "without optimisation" in names
@@ -42,14 +47,22 @@ def test_a_rerun_is_the_same_and_a_change_is_not(call: Call, case: Path, kept: P
     assert (tmp_path / "report/compare.html").is_file()
     call("run", case, "--out", tmp_path / "other", "--set", "plant.parameters.b=0.00656 N.m/V")
     code, out, err = call(
-        "compare", kept, tmp_path / "other/case", "--out", tmp_path / "report", "--json", tmp_path / "verdicts.json"
+        "compare",
+        kept,
+        tmp_path / "other/case",
+        "--out",
+        tmp_path / "report",
+        "--json",
+        tmp_path / "verdicts.json",
     )
     assert (code, err) == (1, "")
     assert "  theta at " in out
     assert "  - values set by --set: none in A, plant.parameters.b=0.00656 N.m/V in B" in out
     tree = json.loads((tmp_path / "verdicts.json").read_text(encoding="utf-8"))
     assert tree["verdict"] == "differs"
-    assert tree == json.loads((tmp_path / "report/compare.json").read_text(encoding="utf-8")) | {"provenance": tree["provenance"]}
+    assert tree == json.loads((tmp_path / "report/compare.json").read_text(encoding="utf-8")) | {
+        "provenance": tree["provenance"]
+    }
     made = tree["provenance"]
     assert made["command"].startswith("bristle compare ")
     assert made["second"]["command"].endswith("--set 'plant.parameters.b=0.00656 N.m/V'")
@@ -65,7 +78,9 @@ def test_a_failed_verdict_is_kept_and_is_1(call: Call, case: Path, tmp_path: Pat
     assert (tmp_path / "kept/case/signals.npz").is_file()
 
 
-def test_what_cannot_be_done_is_one_line_and_leaves_nothing(call: Call, case: Path, kept: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
+    call: Call, case: Path, kept: Path, tmp_path: Path
+) -> None:
     def line(*arguments: object) -> str:
         code, _, err = call(*arguments)
         assert code == 2
@@ -77,7 +92,9 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(call: Call, case: Pa
     assert "No such file" in line("accept", case, tmp_path / "none.toml", "--out", out)
     assert "outside" in line("accept", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2")
     assert "result.json: No such file" in line("compare", kept, tmp_path / "none", "--out", out)
-    assert "would be replaced" in line("compare", kept, kept, "--out", out, "--json", kept / "result.json")
+    assert "would be replaced" in line(
+        "compare", kept, kept, "--out", out, "--json", kept / "result.json"
+    )
     assert not out.exists()
     (tmp_path / "taken/case").mkdir(parents=True)
     (tmp_path / "taken/case/notes.txt").write_text("mine", encoding="utf-8")
@@ -85,7 +102,9 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(call: Call, case: Pa
     assert os.listdir(tmp_path / "taken/case") == ["notes.txt"]
 
 
-def test_a_baseline_is_renewed_but_no_run_takes_its_place(call: Call, case: Path, kept: Path) -> None:
+def test_a_baseline_is_renewed_but_no_run_takes_its_place(
+    call: Call, case: Path, kept: Path
+) -> None:
     code, _, err = call("accept", case, "--out", kept.parent)
     assert (code, err) == (0, "")
     code, _, err = call("run", case, "--out", kept.parent)

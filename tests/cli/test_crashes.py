@@ -1,4 +1,6 @@
-"""A command that is killed at any change of a file leaves the old result or the new one, and the next one works."""
+"""A command that is killed at any change of a file leaves the old result or the new one, and the
+next one works.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,15 @@ from bristle.model.compiler import find_compiler
 
 HERE = Path(__file__).parent
 HIDDEN = HERE.parents[1] / "scenarios" / "hidden" / "07"
-OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}  # keys of results that no two calls have in common
+# keys of results that no two calls have in common
+OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}
 RUN = ["run", "case.toml", "--out", "out"]
 DIAGNOSE = ["diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"]
 BUILD = ["build", "controller", "--out", "out"]
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="puts functions in the place of those of the C library")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="puts functions in the place of those of the C library"
+)
 
 
 class Commands:
@@ -36,10 +41,16 @@ class Commands:
     def __init__(self, library: Path) -> None:
         environment = {**os.environ, "LD_PRELOAD": str(library)}
         command = [sys.executable, str(HERE / "crashes.py")]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True
+        )
 
-    def __call__(self, arguments: Sequence[str], place: Path, point: int = -1, here: bool = False) -> dict[str, Any]:
-        """Return exit code and number of changes of a command in a folder; it is killed instead of its change `point`."""
+    def __call__(
+        self, arguments: Sequence[str], place: Path, point: int = -1, here: bool = False
+    ) -> dict[str, Any]:
+        """Return exit code and number of changes of a command in a folder; it is killed instead of
+        its change `point`.
+        """
         pipes = self._process
         assert pipes.stdin is not None
         assert pipes.stdout is not None
@@ -59,7 +70,10 @@ class Commands:
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Commands]:
     folder = tmp_path_factory.mktemp("crash")
-    subprocess.run([*find_compiler(), "-shared", "-fPIC", "-o", folder / "crash.so", HERE / "crash.c", "-ldl"], check=True)
+    subprocess.run(
+        [*find_compiler(), "-shared", "-fPIC", "-o", folder / "crash.so", HERE / "crash.c", "-ldl"],
+        check=True,
+    )
     made = Commands(folder / "crash.so")
     yield made
     made.end()
@@ -82,9 +96,13 @@ def without(tree: Any) -> Any:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """Return what is in a result folder, as far as two calls have it in common; each file must be complete."""
+    """Return what is in a result folder, as far as two calls have it in common; each file must be
+    complete.
+    """
     found: dict[str, Any] = {}
-    for path in sorted(each for each in folder.rglob("*") if each.is_file() and ".bristle-" not in str(each)):
+    for path in sorted(
+        each for each in folder.rglob("*") if each.is_file() and ".bristle-" not in str(each)
+    ):
         data = path.read_bytes()
         if path.suffix == ".json":
             found[path.relative_to(folder).as_posix()] = without(json.loads(data))
@@ -116,8 +134,12 @@ def prepared(inputs: Path, old: Path | None) -> Path:
     return place
 
 
-def crash(commands: Commands, arguments: Sequence[str], inputs: Path, old: Path | None, number: int) -> set[bool]:
-    """Kill a command at so many of its changes, from the first to the last; return whether the new result was found afterwards."""
+def crash(
+    commands: Commands, arguments: Sequence[str], inputs: Path, old: Path | None, number: int
+) -> set[bool]:
+    """Kill a command at so many of its changes, from the first to the last; return whether the new
+    result was found afterwards.
+    """
     place = prepared(inputs, old)
     whole = commands(arguments, place)
     assert whole["code"] == 0
@@ -125,7 +147,9 @@ def crash(commands: Commands, arguments: Sequence[str], inputs: Path, old: Path 
     assert before != after
     shutil.rmtree(place)
     seen, unreached = set(), 0
-    for point in sorted({int(point) for point in np.linspace(0, whole["seen"] - 1, min(number, whole["seen"]))}):
+    for point in sorted(
+        {int(point) for point in np.linspace(0, whole["seen"] - 1, min(number, whole["seen"]))}
+    ):
         place = prepared(inputs, old)
         code = commands(arguments, place, point)["code"]
         if code == 0:  # a thread of it made fewer changes than before
@@ -151,7 +175,10 @@ NUMBER = pytest.mark.parametrize("number", [8, pytest.param(60, marks=pytest.mar
 @NUMBER
 def test_run(commands: Commands, inputs: Path, number: int) -> None:
     assert commands([*RUN, "--seed", "2"], inputs, here=True)["code"] == 0
-    assert crash(commands, RUN, inputs, (inputs / "out").rename(inputs / "old"), number) == {False, True}
+    assert crash(commands, RUN, inputs, (inputs / "out").rename(inputs / "old"), number) == {
+        False,
+        True,
+    }
 
 
 @NUMBER

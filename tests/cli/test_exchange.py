@@ -1,4 +1,6 @@
-"""`bristle export`, and `bristle run` of what was packed: exit codes, what is printed, what is left behind."""
+"""`bristle export`, and `bristle run` of what was packed: exit codes, what is printed, what is left
+behind.
+"""
 
 import zipfile
 
@@ -41,25 +43,41 @@ def test_what_is_exported_passes_and_what_is_changed_fails(call, kit, tmp_path, 
     assert (code, " pass " in text) == (0, True)
     code, text, _ = call("run", *sorted((kit / "fmus").iterdir()), "--out", tmp_path / "out")
     assert (code, text.count(" pass ")) == (0, 6)
-    coarse = changed(kit / "axis.ssp", tmp_path / "coarse.ssp", bent(".ssd", b'stepSize="0.001"', b'stepSize="0.002"'))
+    coarse = changed(
+        kit / "axis.ssp",
+        tmp_path / "coarse.ssp",
+        bent(".ssd", b'stepSize="0.001"', b'stepSize="0.002"'),
+    )
     code, text, _ = call("run", coarse, "--out", tmp_path / "out")
     assert (code, " fail " in text) == (1, True)
     other = changed(
-        kit / "fmus" / "plant.fmu", tmp_path / "other.fmu", bent("validation-stimuli.csv", b"\n0.1,", b"\n0.1,9\n0.1001,")
+        kit / "fmus" / "plant.fmu",
+        tmp_path / "other.fmu",
+        bent("validation-stimuli.csv", b"\n0.1,", b"\n0.1,9\n0.1001,"),
     )
     code, text, _ = call("run", other, "--out", tmp_path / "out")
     assert (code, text.count(" pass "), text.count(" fail ")) == (1, 1, 2)
-    assert "not as when it was made: extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv" in text
+    assert (
+        "not as when it was made: extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv" in text
+    )
 
 
 def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
     with zipfile.ZipFile(kit / "fmus" / "plant.fmu") as archive:
         archive.extractall(tmp_path)
     source = tmp_path / "extra" / "org.fmi-standard.fmi-ls-ref" / "smoke-test.exp"
-    code, text, _ = call("run", source, "--fmu", kit / "fmus" / "plant.fmu", "--out", tmp_path / "out")
+    code, text, _ = call(
+        "run", source, "--fmu", kit / "fmus" / "plant.fmu", "--out", tmp_path / "out"
+    )
     assert (code, " pass " in text) == (0, True)
     code, text, _ = call(
-        "run", source, kit / "fmus" / "observer.fmu", "--fmu", kit / "fmus" / "plant.fmu", "--out", tmp_path / "out"
+        "run",
+        source,
+        kit / "fmus" / "observer.fmu",
+        "--fmu",
+        kit / "fmus" / "plant.fmu",
+        "--out",
+        tmp_path / "out",
     )
     assert (code, text.count(" pass "), text.count("42 of 42")) == (0, 3, 2)
     code, _, said = call("run", source, "--out", tmp_path / "out")
@@ -69,14 +87,20 @@ def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["axis.ssp", "--set", "plant.law=dahl"], "run as they are"), (["axis.ssp", "--seed", "1"], "run as they are"),
-        (["axis.ssp", "quick"], "run as they are"), (["axis.ssp", "axis.ssp"], "given 2 times"),
+        (["axis.ssp", "--set", "plant.law=dahl"], "run as they are"),
+        (["axis.ssp", "--seed", "1"], "run as they are"),
+        (["axis.ssp", "quick"], "run as they are"),
+        (["axis.ssp", "axis.ssp"], "given 2 times"),
         (["axis.ssp", "--fmu", "x.fmu"], "goes with .exp files"),
-        (["none.ssp"], "check the path"), (["none.fmu"], "check the path"),
-        (["README.md.ssp"], "not a zip archive"), (["README.md.fmu"], "not a zip archive"),
+        (["none.ssp"], "check the path"),
+        (["none.fmu"], "check the path"),
+        (["README.md.ssp"], "not a zip archive"),
+        (["README.md.fmu"], "not a zip archive"),
     ],
-)  # fmt: skip
-def test_mistakes_are_one_line_and_exit_code_2(call, kit, tmp_path, monkeypatch, arguments, message):
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    call, kit, tmp_path, monkeypatch, arguments, message
+):
     monkeypatch.chdir(kit)
     for ending in ("ssp", "fmu"):
         (kit / f"README.md.{ending}").write_text("no archive", encoding="utf-8")

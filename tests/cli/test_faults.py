@@ -1,4 +1,6 @@
-"""What the system refuses, and what no one means to give: one line that names it, exit code 2, nothing written."""
+"""What the system refuses, and what no one means to give: one line that names it, exit code 2,
+nothing written.
+"""
 
 from __future__ import annotations
 
@@ -55,47 +57,96 @@ def with_line(path: str, old: str, new: str) -> str:
 
 @pytest.mark.parametrize("value", [DIGITS, f"-{DIGITS}", "[" * 3000])
 def test_a_number_that_is_too_long(call: Call, folder: Path, value: str) -> None:
-    what = "brackets inside brackets" if "[" in value else "a number of more than 4300 digits; write fewer"
+    what = (
+        "brackets inside brackets"
+        if "[" in value
+        else "a number of more than 4300 digits; write fewer"
+    )
     refused(call, "run", "case.toml", "--set", f"plant.parameters.J={value}", said=what)
     refused(call, "run", with_line("case.toml", '"1 s"', value), said=f"changed.toml: {what}")
-    refused(call, "diagnose", with_line("model.toml", "0.0103601", value), "--data", "a.npz", said=f"changed.toml: {what}")
+    refused(
+        call,
+        "diagnose",
+        with_line("model.toml", "0.0103601", value),
+        "--data",
+        "a.npz",
+        said=f"changed.toml: {what}",
+    )
 
 
-@pytest.mark.parametrize("arguments", [
-    ["run", "case.toml", "--set", DIGITS], ["run", DIGITS], ["run", "case.toml", "--out", DIGITS],
-    ["build", "plant", "--law", DIGITS], ["diagnose", "model.toml", "--data", "a.npz", "--budget", f"{DIGITS}s"],
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "case.toml", "--set", DIGITS],
+        ["run", DIGITS],
+        ["run", "case.toml", "--out", DIGITS],
+        ["build", "plant", "--law", DIGITS],
+        ["diagnose", "model.toml", "--data", "a.npz", "--budget", f"{DIGITS}s"],
+    ],
+)
 def test_what_is_long_is_cut(call: Call, folder: Path, arguments: list[str]) -> None:
     refused(call, *arguments, said="1" * (CUT_WORD - 1))
     assert len(DIGITS) > LONGEST_WORD
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["run", "loop.toml"], "loop.toml: Too many levels"), (["run", "case.toml", "--out", "loop"], "output folder loop"),
-    (["diagnose", "loop.toml", "--data", "a.npz"], "loop.toml: Too many levels"),
-    (["diagnose", "model.toml", "--data", "loop"], "loop"),
-    (["diagnose", "model.toml", "--data", "a.npz", "--out", "loop"], "loop"),
-    (["validate", "model.toml", "--data", "a.npz", "--out", "loop"], "loop"), (["init", "loop", "--out", "m.toml"], "loop"),
-    (["init", "a.npz", "--out", "loop.toml"], "loop.toml: exists already"), (["check", "loop"], "loop: Too many levels"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "loop.toml"], "loop.toml: Too many levels"),
+        (["run", "case.toml", "--out", "loop"], "output folder loop"),
+        (["diagnose", "loop.toml", "--data", "a.npz"], "loop.toml: Too many levels"),
+        (["diagnose", "model.toml", "--data", "loop"], "loop"),
+        (["diagnose", "model.toml", "--data", "a.npz", "--out", "loop"], "loop"),
+        (["validate", "model.toml", "--data", "a.npz", "--out", "loop"], "loop"),
+        (["init", "loop", "--out", "m.toml"], "loop"),
+        (["init", "a.npz", "--out", "loop.toml"], "loop.toml: exists already"),
+        (["check", "loop"], "loop: Too many levels"),
+    ],
+)
 def test_a_link_to_itself(call: Call, folder: Path, arguments: list[str], said: str) -> None:
     refused(call, *arguments, said=said)
 
 
 def test_a_table_is_no_number(call: Call, folder: Path) -> None:
     refused(
-        call, "run", "case.toml", "--set", "plant.parameters.J={}", said="plant.parameters.J = {}: must be one value, not a table"
+        call,
+        "run",
+        "case.toml",
+        "--set",
+        "plant.parameters.J={}",
+        said="plant.parameters.J = {}: must be one value, not a table",
     )
-    refused(call, "run", with_line("case.toml", "min = 1", "min = {}"), said="checks[0].min = {}: must be")
+    refused(
+        call,
+        "run",
+        with_line("case.toml", "min = 1", "min = {}"),
+        said="checks[0].min = {}: must be",
+    )
     refused(call, "run", with_line("case.toml", '"1 s"', "{}"), said="duration: not a quantity")
     model = with_line("model.toml", "0.0103601", "{}")
-    refused(call, "diagnose", model, "--data", "a.npz", said="parameters.J = {}: must be a number [kg.m2]")
+    refused(
+        call,
+        "diagnose",
+        model,
+        "--data",
+        "a.npz",
+        said="parameters.J = {}: must be a number [kg.m2]",
+    )
     model = with_line("model.toml", "resolution = 1", "resolution = {}")
-    refused(call, "diagnose", model, "--data", "a.npz", said="output.resolution = {}: must be one value, not a table")
+    refused(
+        call,
+        "diagnose",
+        model,
+        "--data",
+        "a.npz",
+        said="output.resolution = {}: must be one value, not a table",
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("arguments", [["--version"], ["schema", "model"], ["build", "controller", "--out", "fmus"]])
+@pytest.mark.parametrize(
+    "arguments", [["--version"], ["schema", "model"], ["build", "controller", "--out", "fmus"]]
+)
 def test_a_full_standard_output(folder: Path, arguments: list[str]) -> None:
     with open("/dev/full", "w") as full:
         command = [sys.executable, "-m", "bristle", *arguments]
@@ -111,7 +162,10 @@ def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]
     command = [sys.executable, "-m", "bristle", *arguments]
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (2, "bristle: standard output: nobody reads it any more\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "bristle: standard output: nobody reads it any more\n",
+    )
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
@@ -119,22 +173,37 @@ def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]
 def test_closed_streams_lead_nowhere(folder: Path, closed: str) -> None:
     """And no file takes the number of one of them, so that nothing that is printed lands in it."""
     command = f"{sys.executable} -m bristle schema model {closed}"
-    done = subprocess.run(["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == "0"
     assert "Error" not in done.stderr
     command = f"{sys.executable} -m bristle build controller --out fmus {closed}"
-    done = subprocess.run(["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == "0"
     assert all(path.read_bytes()[:2] == b"PK" for path in Path("fmus").glob("*.fmu"))
     assert list(Path("fmus").glob("*.fmu"))
 
 
-@pytest.mark.parametrize(("error", "said"), [
-    (MemoryError(), "bristle: no memory left; end other programs, or allow more (ulimit -v)"),
-    (OSError(28, "No space left on device"), "bristle: temporary folder {}: No space left on device; make room, or set TMPDIR"),
-    (PermissionError(13, "Permission denied", "x"), "bristle: x: Permission denied; check the path, its rights and the room there"),
-])  # fmt: skip
-def test_what_the_system_refuses(call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str) -> None:
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "bristle: no memory left; end other programs, or allow more (ulimit -v)"),
+        (
+            OSError(28, "No space left on device"),
+            "bristle: temporary folder {}: No space left on device; make room, or set TMPDIR",
+        ),
+        (
+            PermissionError(13, "Permission denied", "x"),
+            "bristle: x: Permission denied; check the path, its rights and the room there",
+        ),
+    ],
+)
+def test_what_the_system_refuses(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda place: SimpleNamespace(free=0))
 
     def fail(*_arguments: object) -> None:
@@ -144,29 +213,49 @@ def test_what_the_system_refuses(call: Call, folder: Path, monkeypatch: pytest.M
     refused(call, "run", "case.toml", said=said.format(tempfile.gettempdir()))
 
 
-def test_a_full_temporary_folder_is_named(call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_temporary_folder_is_named(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("fmpy.extract", full)
-    refused(call, "run", "case.toml", said=": No space left on device; make room, or set TMPDIR to another folder")
+    refused(
+        call,
+        "run",
+        "case.toml",
+        said=": No space left on device; make room, or set TMPDIR to another folder",
+    )
 
 
 def test_a_home_that_cannot_be_used(folder: Path) -> None:
-    environment = {key: value for key, value in os.environ.items() if key not in ("BRISTLE_CACHE", "XDG_CACHE_HOME")}
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("BRISTLE_CACHE", "XDG_CACHE_HOME")
+    }
     environment["HOME"] = "/dev/null"
     command = [sys.executable, "-m", "bristle", "run", "case.toml"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == (
-        "bristle: cache folder /dev/null/.cache/bristle: Not a directory; set BRISTLE_CACHE to a folder you can write\n"
+    assert (
+        done.stderr
+        == "bristle: cache folder /dev/null/.cache/bristle: Not a directory; set BRISTLE_CACHE to a"
+        " folder you can write\n"
     )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 def test_no_memory_is_one_line(folder: Path) -> None:
     """Of the libraries some end the process themselves below that."""
-    command = ["/bin/sh", "-c", f'ulimit -v {LITTLE_MEMORY}; exec "$0" "$@"', sys.executable, "-m", "bristle"]
+    command = [
+        "/bin/sh",
+        "-c",
+        f'ulimit -v {LITTLE_MEMORY}; exec "$0" "$@"',
+        sys.executable,
+        "-m",
+        "bristle",
+    ]
     asked = ["diagnose", "model.toml", "--data", "a.npz", "--jobs", "1"]
     done = subprocess.run([*command, *asked], capture_output=True, text=True, check=False)
     assert done.returncode in (0, 2)

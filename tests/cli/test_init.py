@@ -23,7 +23,12 @@ def log(tmp_path: Path) -> Path:
     u = 0.01 * a + 0.02 * v + 0.12 * np.sign(v)
     path = tmp_path / "run 1.csv"
     np.savetxt(
-        path, np.column_stack([t, u, theta]), delimiter=";", header="Zeit [s];Moment [Nm];Winkel [rad]", comments="", fmt="%.9f"
+        path,
+        np.column_stack([t, u, theta]),
+        delimiter=";",
+        header="Zeit [s];Moment [Nm];Winkel [rad]",
+        comments="",
+        fmt="%.9f",
     )
     return path
 
@@ -46,7 +51,9 @@ def test_it_replaces_a_file_only_if_forced(call: Call, log: Path, tmp_path: Path
     out.write_text("mine")
     code, _, error = call("init", log, "--out", out)
     assert code == 2
-    assert error == f"bristle: {out}: exists already; give another name, or allow it to be replaced\n"
+    assert (
+        error == f"bristle: {out}: exists already; give another name, or allow it to be replaced\n"
+    )
     assert out.read_text() == "mine"
     assert call("init", tmp_path / "*.csv", "--out", out, "--force")[0] == 0
     assert load_model(out).friction == "coulomb"
@@ -55,14 +62,22 @@ def test_it_replaces_a_file_only_if_forced(call: Call, log: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["--input", "Strom"], "input 'Strom': is no column of numbers in every file; there are: Moment [Nm], Winkel [rad]"),
+        (
+            ["--input", "Strom"],
+            (
+                "input 'Strom': is no column of numbers in every file; there are: Moment [Nm],"
+                " Winkel [rad]"
+            ),
+        ),
         (["--unit", "rad"], "--unit 'rad': is not NAME=VALUE"),
         (["--unit", "Moment [Nm]=lbf"], "unit 'lbf' of 'Moment [Nm]' is not known"),
         (["--out", "model.csv"], "model.csv: is no name of a model file"),
         (["none*.csv"], "none*.csv: no file matches this pattern"),
     ],
 )
-def test_mistakes_are_one_line(call: Call, log: Path, tmp_path: Path, args: list[str], words: str) -> None:
+def test_mistakes_are_one_line(
+    call: Call, log: Path, tmp_path: Path, args: list[str], words: str
+) -> None:
     out = [] if "--out" in args else ["--out", tmp_path / "model.toml"]
     code, said, error = call("init", log, *args, *out)
     assert (code, said, len(error.splitlines())) == (2, "", 1)
@@ -71,6 +86,15 @@ def test_mistakes_are_one_line(call: Call, log: Path, tmp_path: Path, args: list
 
 
 def test_columns_and_units_may_be_given(call: Call, log: Path, tmp_path: Path) -> None:
-    asked = ("--input", "Moment [Nm]", "--output", "Winkel [rad]", "--time", "Zeit [s]", "--unit", "Winkel [rad]=deg")
+    asked = (
+        "--input",
+        "Moment [Nm]",
+        "--output",
+        "Winkel [rad]",
+        "--time",
+        "Zeit [s]",
+        "--unit",
+        "Winkel [rad]=deg",
+    )
     assert call("init", log, *asked, "--out", tmp_path / "model.toml")[0] == 0
     assert load_model(tmp_path / "model.toml").output.unit == "deg"

@@ -26,20 +26,32 @@ import bristle.cli.main
 bristle.cli.main.main()
 """
 COMMANDS = {
-    "list": ["list"], "build": ["build", "controller", "--out", "out"], "run": ["run", "case.toml", "--out", "out"],
-    "test": ["test", "case.toml", "--out", "out"], "export": ["export", "case.toml", "--out", "out"],
-    "coupling": ["coupling", "case.toml", "--out", "out"], "reproduce": ["reproduce", "--out", "out"],
-    "schema": ["schema", "scenario"], "init": ["init", "a.csv", "--out", "m.toml"],
+    "list": ["list"],
+    "build": ["build", "controller", "--out", "out"],
+    "run": ["run", "case.toml", "--out", "out"],
+    "test": ["test", "case.toml", "--out", "out"],
+    "export": ["export", "case.toml", "--out", "out"],
+    "coupling": ["coupling", "case.toml", "--out", "out"],
+    "reproduce": ["reproduce", "--out", "out"],
+    "schema": ["schema", "scenario"],
+    "init": ["init", "a.csv", "--out", "m.toml"],
     "diagnose": ["diagnose", "m.toml", "--data", "a.csv", "--out", "out"],
-    "validate": ["validate", "m.toml", "--data", "a.csv", "--out", "out"], "diff": ["diff", "a.fmu", "b.fmu", "--json", "x"],
+    "validate": ["validate", "m.toml", "--data", "a.csv", "--out", "out"],
+    "diff": ["diff", "a.fmu", "b.fmu", "--json", "x"],
     "check": ["check", "a.fmu", "--json", "x"],
-}  # fmt: skip
-FIRST_USED = {"schema": "bristle.harness.scenario", "diff": "bristle.fmus.difference", "check": "bristle.fmus.conformance"}
+}
+FIRST_USED = {
+    "schema": "bristle.harness.scenario",
+    "diff": "bristle.fmus.difference",
+    "check": "bristle.fmus.conformance",
+}
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
 
-def interrupted(folder: Path, module: str, arguments: Sequence[str], number: int = signal.SIGINT) -> None:
+def interrupted(
+    folder: Path, module: str, arguments: Sequence[str], number: int = signal.SIGINT
+) -> None:
     before = sorted(os.listdir(folder))
     command = [sys.executable, "-c", INTERRUPTED_AT, module, str(int(number)), *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -48,9 +60,18 @@ def interrupted(folder: Path, module: str, arguments: Sequence[str], number: int
 
 
 def test_little_is_imported_before_ctrl_c_is_handled() -> None:
-    script = "import sys; before = set(sys.modules); import bristle.cli.main; print(*sorted(set(sys.modules) - before))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    tops = {name for name in done.stdout.split() if name.partition(".")[0] not in sys.stdlib_module_names}
+    script = (
+        "import sys; before = set(sys.modules); import bristle.cli.main;"
+        " print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    tops = {
+        name
+        for name in done.stdout.split()
+        if name.partition(".")[0] not in sys.stdlib_module_names
+    }
     common = {"bristle.common", "bristle.common.arguments", "bristle.common.errors"}
     assert tops - common == {"bristle", "bristle.cli", "bristle.cli.main"}
 

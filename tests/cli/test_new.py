@@ -1,4 +1,6 @@
-"""`bristle new`: what it writes installs, is found, passes its own tests and runs; nothing is replaced."""
+"""`bristle new`: what it writes installs, is found, passes its own tests and runs; nothing is
+replaced.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,15 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(written: Path) -> Path:
     """The folder into which the packages are installed, without a network."""
     site = written / "site"
-    options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(site)]
+    options = [
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--target",
+        str(site),
+    ]
     run(written, "-m", "pip", "install", *options, *(f"./{name}" for name in NAMES.values()))
     return site
 
@@ -36,7 +46,14 @@ def installed(written: Path) -> Path:
 def run(folder: Path, *arguments: str, site: Path | None = None) -> str:
     """Return what Python prints in a folder."""
     environment = os.environ | ({} if site is None else {"PYTHONPATH": str(site)})
-    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -50,7 +67,9 @@ def test_what_is_installed_is_listed(written, installed):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(NAMES))
 def test_a_new_package_passes_its_own_tests_of_which_its_scenario_is_one(written, installed, kind):
-    said = run(written / NAMES[kind], "-m", "pytest", "-p", "no:cacheprovider", "-v", site=installed)
+    said = run(
+        written / NAMES[kind], "-m", "pytest", "-p", "no:cacheprovider", "-v", site=installed
+    )
     assert f"{NAMES[kind]}.toml::{NAMES[kind]} PASSED" in said
     assert "FAILED" not in said
 
@@ -59,17 +78,43 @@ def test_a_new_package_passes_its_own_tests_of_which_its_scenario_is_one(written
 def test_the_three_run_in_one_scenario_and_are_built(written, installed):
     scenario = written / "together.toml"
     text = (written / "fresh_effect" / "fresh_effect.toml").read_text(encoding="utf-8")
-    text = text.replace('law = "modified"', 'law = "fresh_law"').replace('method = "rls"', 'method = "fresh_observer"')
+    text = text.replace('law = "modified"', 'law = "fresh_law"').replace(
+        'method = "rls"', 'method = "fresh_observer"'
+    )
     scenario.write_text(text.replace('sensor = "encoder"', 'sensor = "clean"'), encoding="utf-8")
-    out = run(written, "-m", "bristle", "run", "together.toml", "--out", "out", "--fmi", "3", site=installed)
+    out = run(
+        written,
+        "-m",
+        "bristle",
+        "run",
+        "together.toml",
+        "--out",
+        "out",
+        "--fmi",
+        "3",
+        site=installed,
+    )
     assert out.split()[:2] == ["together", "pass"]
-    built = run(written, "-m", "bristle", "build", "observer", "--method", "fresh_observer", "--out", "fmus", site=installed)
+    built = run(
+        written,
+        "-m",
+        "bristle",
+        "build",
+        "observer",
+        "--method",
+        "fresh_observer",
+        "--out",
+        "fmus",
+        site=installed,
+    )
     assert built.strip() == "fmus/AdaptiveObserver_fresh_observer.fmu"
 
 
 @pytest.mark.slow
 def test_a_new_effect_is_named_by_a_diagnosis(written, installed):
-    """Of a servo that has it, and a model that lacks it; beside it, those that a damper resembles are tried."""
+    """Of a servo that has it, and a model that lacks it; beside it, those that a damper resembles
+    are tried.
+    """
     program = """
 import numpy as np, sys
 import bristle
@@ -121,10 +166,20 @@ def test_a_package_has_what_pip_and_a_reader_need(written):
         project = tomllib.loads((written / name / "pyproject.toml").read_text(encoding="utf-8"))
         [(group, points)] = project["project"]["entry-points"].items()
         assert (group, points) == (f"bristle.{kind}s", {name: f"bristle_{name}"})
-        texts = [f"bristle_{name}.py", "README.md", "pyproject.toml", f"{name}.toml", f"tests/test_{name}.py"]
+        texts = [
+            f"bristle_{name}.py",
+            "README.md",
+            "pyproject.toml",
+            f"{name}.toml",
+            f"tests/test_{name}.py",
+        ]
         for file in texts:  # filled in completely
             assert "$" not in (written / name / file).read_text(encoding="utf-8"), file
-        assert {path.name for path in (written / name).iterdir()} >= {*texts[:4], "scenario.schema.json", "tests"}
+        assert {path.name for path in (written / name).iterdir()} >= {
+            *texts[:4],
+            "scenario.schema.json",
+            "tests",
+        }
 
 
 def test_a_new_scenario_runs_as_it_is(call, tmp_path, monkeypatch):
@@ -133,7 +188,11 @@ def test_a_new_scenario_runs_as_it_is(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, said, _ = call("new", "scenario", "mine", "--out", "files")
     assert (code, said) == (0, "files/mine.toml  next: bristle run files/mine.toml --out out\n")
-    assert Path("files/mine.toml").read_text(encoding="utf-8").startswith("#:schema scenario.schema.json\n")
+    assert (
+        Path("files/mine.toml")
+        .read_text(encoding="utf-8")
+        .startswith("#:schema scenario.schema.json\n")
+    )
     assert call("run", "files/mine.toml", "--out", "out")[0] == 0
     assert call("new", "scenario", "other", "--out", "files")[0] == 0
     assert sorted(os.listdir("files")) == ["mine.toml", "other.toml", "scenario.schema.json"]

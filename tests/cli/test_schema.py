@@ -40,10 +40,13 @@ def test_files_agree_with_the_schema(schema):
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ('duration = "20 s"', "duration = 20"), ('duration = "20 s"', 'duration = "20s"'),
-        ('law = "modified"', 'lawe = "modified"'), ('sensor = "encoder"', 'sensor = "eye"'), ("max_abs = 2.0", 'max_abs = "much"'),
+        ('duration = "20 s"', "duration = 20"),
+        ('duration = "20 s"', 'duration = "20s"'),
+        ('law = "modified"', 'lawe = "modified"'),
+        ('sensor = "encoder"', 'sensor = "eye"'),
+        ("max_abs = 2.0", 'max_abs = "much"'),
     ],
-)  # fmt: skip
+)
 def test_mistakes_do_not(schema, old, new):
     text = (SHIPPED / "quick.toml").read_text(encoding="utf-8")
     assert old in text

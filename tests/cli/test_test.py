@@ -19,12 +19,25 @@ def test_the_command_runs_seeds_and_values(call, tmp_path):
     good.write_text(SCENARIO.replace("LIMIT", "1e9"), encoding="utf-8")
     out = tmp_path / "out"
     code, text, _ = call(
-        "test", good, "--seeds", "1-2", "--vary", "sensor=[clean, encoder]", "-j", "1", "--out", out, "--junit", tmp_path / "j.xml"
+        "test",
+        good,
+        "--seeds",
+        "1-2",
+        "--vary",
+        "sensor=[clean, encoder]",
+        "-j",
+        "1",
+        "--out",
+        out,
+        "--junit",
+        tmp_path / "j.xml",
     )
     assert code == 0, text
     assert "4 of 4 runs pass" in text
     tree = json.loads((out / "suite.json").read_text(encoding="utf-8"))
-    assert {(r["seed"], *r["values"]) for r in tree["runs"]} == {(s, f"sensor={k}") for s in (1, 2) for k in ("clean", "encoder")}
+    assert {(r["seed"], *r["values"]) for r in tree["runs"]} == {
+        (s, f"sensor={k}") for s in (1, 2) for k in ("clean", "encoder")
+    }
     assert all((out / r["folder"] / "report.html").is_file() for r in tree["runs"])
     assert "good" in (tmp_path / "j.xml").read_text(encoding="utf-8")
     strict = tmp_path / "strict.toml"
@@ -55,12 +68,23 @@ def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(
     for option in ("--junit", "--json"):
         code, text, err = call("test", good, "--out", tmp_path / "out", option, tmp_path)
         assert (code, text) == (2, "")
-        assert err.strip() == f"bristle: {tmp_path}: Is a directory; give a file that can be written"
+        assert (
+            err.strip() == f"bristle: {tmp_path}: Is a directory; give a file that can be written"
+        )
     code, text, err = call("test", good, "--seeds", "", "--out", tmp_path / "out")
     assert code == 2
     assert "'' is neither a seed nor a range" in err
     assert not (tmp_path / "out").exists()
-    code, text, _ = call("test", good, "-j", "1", "--out", tmp_path / "out", "--junit", tmp_path / "new" / "folder" / "j.xml")
+    code, text, _ = call(
+        "test",
+        good,
+        "-j",
+        "1",
+        "--out",
+        tmp_path / "out",
+        "--junit",
+        tmp_path / "new" / "folder" / "j.xml",
+    )
     assert code == 0
     assert "good" in (tmp_path / "new" / "folder" / "j.xml").read_text(encoding="utf-8")
 
@@ -68,7 +92,12 @@ def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(
 def test_files_that_are_left_out_of_a_folder_are_named(call, tmp_path):
     text = SCENARIO.replace("LIMIT", "-1")
     (tmp_path / "good.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "misspelt.toml").write_text(text.replace("[observer]", "[obsrver]"), encoding="utf-8")
+    (tmp_path / "misspelt.toml").write_text(
+        text.replace("[observer]", "[obsrver]"), encoding="utf-8"
+    )
     _, out, err = call("test", tmp_path, "-j", "1", "--out", tmp_path / "out")
     assert "0 of 1 runs pass" in out
-    assert f"bristle: {tmp_path}: left out 1 of 2 .toml files, which have no table [observer]: misspelt.toml" in err
+    assert (
+        f"bristle: {tmp_path}: left out 1 of 2 .toml files, which have no table [observer]:"
+        " misspelt.toml" in err
+    )

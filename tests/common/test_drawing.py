@@ -1,4 +1,6 @@
-"""The colours of figures and pages can be told from their background, and thinning loses no spike."""
+"""The colours of figures and pages can be told from their background, and thinning loses no
+spike.
+"""
 
 import re
 from importlib.resources import files
@@ -19,7 +21,9 @@ def luminance(colour):
     digits = colour.lstrip("#")
     digits = "".join(2 * each for each in digits) if len(digits) == 3 else digits
     parts = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
@@ -59,11 +63,19 @@ def test_texts_of_figures_can_be_read():
 def test_texts_of_pages_can_be_read():
     page = declared("body", "background")
     alarm = declared(".alarm", "background")
-    for selector, background in (("body", page), (".sub", page), (".head span", page), ("summary", page), ("figcaption", page)):
+    for selector, background in (
+        ("body", page),
+        (".sub", page),
+        (".head span", page),
+        ("summary", page),
+        ("figcaption", page),
+    ):
         assert contrast(declared(selector, "color"), background) >= LEAST_TEXT, selector
     assert contrast(declared("body", "color"), alarm) >= LEAST_TEXT
     for kind in (".good", ".bad", ".open", ".calm"):
-        assert contrast(declared(".badge", "color"), declared(kind, "background")) >= LEAST_TEXT, kind
+        assert contrast(declared(".badge", "color"), declared(kind, "background")) >= LEAST_TEXT, (
+            kind
+        )
 
 
 def test_no_page_has_a_dark_scheme_of_which_nothing_is_tested():

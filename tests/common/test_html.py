@@ -1,4 +1,6 @@
-"""Pages: headings with addresses, tables for narrow screens, and plots that zoom in a browser as their data say."""
+"""Pages: headings with addresses, tables for narrow screens, and plots that zoom in a browser as
+their data say.
+"""
 
 import re
 import shutil
@@ -11,7 +13,14 @@ from bristle.common.drawing import STYLE, Drawing, new_figure, set_labels, svg
 from bristle.common.html import figure, identifier, page, table, tally
 from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
 
-BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+BROWSER = next(
+    (
+        found
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (found := shutil.which(name))
+    ),
+    None,
+)
 MOST_LINES = 200  # of the script in a page
 
 
@@ -41,7 +50,9 @@ def test_an_identifier_may_break_between_its_parts_but_not_in_a_number():
 
 
 def test_every_heading_has_an_address_of_its_own():
-    text = page("t", '<h2>A <span class="sub">b</span></h2><h2>A b</h2><h2 id="own">C</h2><h2>—</h2>')
+    text = page(
+        "t", '<h2>A <span class="sub">b</span></h2><h2>A b</h2><h2 id="own">C</h2><h2>—</h2>'
+    )
     ids = re.findall(r'<h2 id="([^"]*)"', text)
     assert ids == ["a-b", "a-b-2", "own", "section"]
     assert re.findall(r'href="#([^"]*)"', text) == ids
@@ -71,7 +82,9 @@ def test_the_script_is_small_and_loads_nothing():
     text = page("t", figure("title", drawn(), ""))
     script = re.search(r"</main><script>(.*?)</script>", text, re.DOTALL)[1]
     assert len(script.splitlines()) < MOST_LINES
-    assert not re.search(r"fetch\(|XMLHttpRequest|import\(|https?://(?!www\.w3\.org/2000/svg)", script)
+    assert not re.search(
+        r"fetch\(|XMLHttpRequest|import\(|https?://(?!www\.w3\.org/2000/svg)", script
+    )
 
 
 def dom(path, text, action):
@@ -87,7 +100,9 @@ def dom(path, text, action):
         "--virtual-time-budget=2000",
         "--dump-dom",
     ]
-    return subprocess.run([*command, path.as_uri()], capture_output=True, text=True, timeout=120, check=True).stdout
+    return subprocess.run(
+        [*command, path.as_uri()], capture_output=True, text=True, timeout=120, check=True
+    ).stdout
 
 
 @pytest.mark.slow
@@ -95,7 +110,10 @@ def dom(path, text, action):
 def test_plots_of_one_clock_zoom_together_in_a_browser(tmp_path):
     other = figure("b", drawn("run"), "") + figure("c", drawn("second"), "")
     text = page("t", figure("a", drawn(), "") + other)
-    key = "document.querySelector('.panel svg').dispatchEvent(new KeyboardEvent('keydown', {key: '%s'}));"
+    key = (
+        "document.querySelector('.panel svg').dispatchEvent(new KeyboardEvent('keydown', {key:"
+        " '%s'}));"
+    )
 
     def last_ticks(found):
         panels = re.findall(r"<svg.*?</svg>", found, re.DOTALL)
@@ -107,8 +125,16 @@ def test_plots_of_one_clock_zoom_together_in_a_browser(tmp_path):
     zoomed = dom(tmp_path / "zoomed.html", text, key % "+")
     assert last_ticks(zoomed)[:2] != ["100", "100"]
     assert last_ticks(zoomed)[2] == "100"
-    assert last_ticks(dom(tmp_path / "back.html", text, key % "+" + key % "0")) == ["100", "100", "100"]
-    part = dom(tmp_path / "part.html", text, "document.querySelectorAll('button')[1].click();" + key % "ArrowRight")
+    assert last_ticks(dom(tmp_path / "back.html", text, key % "+" + key % "0")) == [
+        "100",
+        "100",
+        "100",
+    ]
+    part = dom(
+        tmp_path / "part.html",
+        text,
+        "document.querySelectorAll('button')[1].click();" + key % "ArrowRight",
+    )
     assert "estimate &lt;/script&gt;" in part
     assert last_ticks(part)[0] == "100"
     assert len(re.findall(r'text-anchor="middle">9\d<', part)) >= 2

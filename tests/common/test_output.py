@@ -1,4 +1,6 @@
-"""Files are put into a folder all or none, also if the process is killed meanwhile; what a killed process left is swept."""
+"""Files are put into a folder all or none, also if the process is killed meanwhile; what a killed
+process left is swept.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ NEWER = {"a": "new", "b": "new", "sub/c": "new", "thesis.txt": "precious"}
 
 
 def found(folder: Path) -> dict[str, str]:
-    return {path.relative_to(folder).as_posix(): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def fill(folder: Path) -> None:
@@ -59,13 +65,17 @@ def test_a_kill_leaves_the_old_files_or_the_new_ones(tmp_path: Path, call: int) 
     done = subprocess.run(command, cwd=tmp_path, check=False)
     assert done.returncode == (-signal.SIGKILL if call < 8 else 0)
     check_writable(tmp_path)
-    held = {name: text for name, text in found(tmp_path).items() if not name.startswith(".bristle-")}
+    held = {
+        name: text for name, text in found(tmp_path).items() if not name.startswith(".bristle-")
+    }
     assert held == (OLDER if call == 1 else NEWER)
     if call > 1:  # what has no journal is swept when it is old
         assert not list(tmp_path.glob(".bristle-*"))
 
 
-def test_an_undo_that_is_cut_short_is_finished_forwards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_undo_that_is_cut_short_is_finished_forwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fill(tmp_path)
     real, calls = os.replace, []
 
@@ -83,7 +93,10 @@ def test_an_undo_that_is_cut_short_is_finished_forwards(tmp_path: Path, monkeypa
     assert found(tmp_path) == NEWER
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"new": ["../x"], "gone": []}', '{"new": [], "gone": ["/etc/x"]}', '{"new": [1]}'])
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", '{"new": ["../x"], "gone": []}', '{"new": [], "gone": ["/etc/x"]}', '{"new": [1]}'],
+)
 def test_a_journal_that_is_not_ours_moves_nothing(tmp_path: Path, text: str) -> None:
     (tmp_path / ".bristle-abcdefgh").mkdir()
     (tmp_path / ".bristle-abcdefgh" / JOURNAL).write_text(text)
@@ -91,11 +104,15 @@ def test_a_journal_that_is_not_ours_moves_nothing(tmp_path: Path, text: str) -> 
         check_writable(tmp_path)
 
 
-def test_files_of_one_folder_are_put_there_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_one_folder_are_put_there_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "other").mkdir()
     replace_each({tmp_path / "a": b"1", tmp_path / "b": b"2", tmp_path / "other" / "c": b"3"})
     assert found(tmp_path) == {"a": "1", "b": "2", "other/c": "3"}
-    monkeypatch.setattr(output, "_forward", lambda *arguments: (_ for _ in ()).throw(OSError("no more")))
+    monkeypatch.setattr(
+        output, "_forward", lambda *arguments: (_ for _ in ()).throw(OSError("no more"))
+    )
     with pytest.raises(BristleError, match="no more"):
         replace_each({tmp_path / "a": b"4", tmp_path / "b": b"5"})
     assert found(tmp_path) == {"a": "1", "b": "2", "other/c": "3"}
@@ -109,7 +126,9 @@ def test_what_is_no_ordinary_file_is_written_to(tmp_path: Path) -> None:
     assert os.read(reader, 9) == b"text"
     os.close(reader)
     assert (tmp_path / "pipe").is_fifo()
-    with pytest.raises(BristleError, match=r"/dev/full: No space left on device; give another file"):
+    with pytest.raises(
+        BristleError, match=r"/dev/full: No space left on device; give another file"
+    ):
         replace_file(Path("/dev/full"), b"text")
 
 
@@ -158,7 +177,9 @@ def test_a_lock_is_held_once_and_ends(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_the_journal_says_what_comes_and_what_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_journal_says_what_comes_and_what_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fill(tmp_path)
     seen = []
 

@@ -1,4 +1,6 @@
-"""Shared by the tests of the diagnosis: a model, a simulated record, made-up answers, and what checks a line of an error."""
+"""Shared by the tests of the diagnosis: a model, a simulated record, made-up answers, and what
+checks a line of an error.
+"""
 
 from __future__ import annotations
 
@@ -38,16 +40,33 @@ TREE: dict[str, Any] = {
     "output": {"column": "theta", "kind": "position", "unit": "rad"},
 }
 STRONG = {  # effects, each as strong as the friction or so
-    "bias": {"torque": 0.05}, "asymmetric_coulomb": {"share": 0.4}, "quadratic_drag": {"coefficient": 0.002},
-    "stribeck": {"excess": 1.0}, "presliding": {"stiffness": 8.0}, "bristle_damping": {"stiffness": 8.0, "damping": 0.05},
-    "cogging": {"amplitude": 0.08}, "gravity": {"amplitude": 0.3}, "dead_zone": {"width": 0.08},
-    "saturation": {"limit": 0.3}, "gain_asymmetry": {"share": 0.2}, "input_delay": {"delay": 0.01},
-    "electrical_pole": {"time_constant": 0.01}, "backlash": {"stiffness": 50.0, "play": 0.03},
-    "compliance": {"stiffness": 40.0}, "load_friction": {"coefficient": 0.2}, "hard_stop": {"upper": 0.3, "stiffness": 3.0},
-    "friction_drift": {"rate": 0.05}, "disturbance_step": {"torque": 0.1}, "eccentric_encoder": {}, "position_friction": {},
-    "back_emf": {"constant": 0.03}, "encoder_play": {"play": 0.02}, "asymmetric_viscous": {"coefficient": 0.01},
-    "gear_loss": {"driving": 0.2, "driven": 0.05}, "return_spring": {"stiffness": 0.3, "rest": 0.2},
-}  # fmt: skip
+    "bias": {"torque": 0.05},
+    "asymmetric_coulomb": {"share": 0.4},
+    "quadratic_drag": {"coefficient": 0.002},
+    "stribeck": {"excess": 1.0},
+    "presliding": {"stiffness": 8.0},
+    "bristle_damping": {"stiffness": 8.0, "damping": 0.05},
+    "cogging": {"amplitude": 0.08},
+    "gravity": {"amplitude": 0.3},
+    "dead_zone": {"width": 0.08},
+    "saturation": {"limit": 0.3},
+    "gain_asymmetry": {"share": 0.2},
+    "input_delay": {"delay": 0.01},
+    "electrical_pole": {"time_constant": 0.01},
+    "backlash": {"stiffness": 50.0, "play": 0.03},
+    "compliance": {"stiffness": 40.0},
+    "load_friction": {"coefficient": 0.2},
+    "hard_stop": {"upper": 0.3, "stiffness": 3.0},
+    "friction_drift": {"rate": 0.05},
+    "disturbance_step": {"torque": 0.1},
+    "eccentric_encoder": {},
+    "position_friction": {},
+    "back_emf": {"constant": 0.03},
+    "encoder_play": {"play": 0.02},
+    "asymmetric_viscous": {"coefficient": 0.01},
+    "gear_loss": {"driving": 0.2, "driven": 0.05},
+    "return_spring": {"stiffness": 0.3, "rest": 0.2},
+}
 
 
 @pytest.fixture
@@ -61,14 +80,18 @@ def search_among(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Return what lets the search try the named effects alone."""
 
     def restrict(*names: str) -> None:
-        monkeypatch.setattr(stepwise, "all_effects", lambda: {name: effects()[name] for name in names})
+        monkeypatch.setattr(
+            stepwise, "all_effects", lambda: {name: effects()[name] for name in names}
+        )
 
     return restrict
 
 
 @pytest.fixture
 def few(search_among: Callable[..., None]) -> None:
-    """Search among a quarter of the effects, where which of them explains most is not what is tested."""
+    """Search among a quarter of the effects, where which of them explains most is not what is
+    tested.
+    """
     search_among("gravity", "bias", "stribeck", "quadratic_drag", "input_delay", "gain_asymmetry")
 
 
@@ -80,7 +103,8 @@ def model() -> Model:
 
 @pytest.fixture(scope="session")
 def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Return what simulates 12 s of a servo with an effect: time, torque, position in counts, velocity.
+    """Return what simulates 12 s of a servo with an effect: time, torque, position in counts,
+    velocity.
 
     Parameters of the effect that are `given` take the place of those in `STRONG`.
     """
@@ -89,18 +113,28 @@ def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
         system.name = name
     program = Program("Every_diagnosed", systems, "case")
 
-    def run(name: str = "bias", seed: int = 1, **given: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def run(
+        name: str = "bias", seed: int = 1, **given: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         values = {"torque": 0.0} if given.pop("plain", None) else STRONG.get(name, {}) | given
         setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
-        native = Native(program, setting | {f"{name}.{key}": value for key, value in values.items()}, name)
+        native = Native(
+            program, setting | {f"{name}.{key}": value for key, value in values.items()}, name
+        )
         rng = np.random.default_rng(seed)
         t = np.arange(12000) * H
         f = np.array([0.15, 0.37, 0.61, 0.93, 1.7, 2.9, 4.3, 7.1, 11.0])
         size = 0.12 * np.array([1.0, 1.5, 1.5, 1.5, 1.5, 1.2, 1.0, 0.7, 0.5])
-        u = np.sum(size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 2 * np.pi, len(f))[:, None]), axis=0)
+        u = np.sum(
+            size[:, None]
+            * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 2 * np.pi, len(f))[:, None]),
+            axis=0,
+        )
         pole = np.exp(-2 * np.pi * 10 * H)
         noise = lfilter([1 - pole], [1, -pole], rng.standard_normal(len(t)))
-        out, _ = native.run(H, {"u": u, "tau_load": 0.03 * 0.12 * noise / np.std(noise)}, ["theta", "v"])
+        out, _ = native.run(
+            H, {"u": u, "tau_load": 0.03 * 0.12 * noise / np.std(noise)}, ["theta", "v"]
+        )
         return t, u, np.floor(out[:-1, 0] / STEP) * STEP, out[:-1, 1]
 
     return run
@@ -112,7 +146,9 @@ SECONDS = 8.0
 
 @dataclass(frozen=True)
 class Case:
-    """Two short records of a servo with an effect (or None), simulated at a tenth of the diagnosis' step, and a model."""
+    """Two short records of a servo with an effect (or None), simulated at a tenth of the diagnosis'
+    step, and a model.
+    """
 
     model: Model
     records: list[Record]
@@ -121,19 +157,30 @@ class Case:
 
 
 @pytest.fixture(scope="session")
-def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> Callable[..., Case]:
-    """Return what makes the case of an effect (with `given` parameters, as of `measured`), each once."""
+def case(
+    measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
+) -> Callable[..., Case]:
+    """Return what makes the case of an effect (with `given` parameters, as of `measured`), each
+    once.
+    """
     made: dict[tuple[Any, ...], Case] = {}
 
     def of(name: str | None, **given: float) -> Case:
         key = (name, *sorted(given.items()))
         if key not in made:
             model = Model.from_dict(TREE | {"parameters": OFF})
-            runs = {seed: measured(name, seed, **given) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
+            runs = {
+                seed: measured(name, seed, **given) if name else measured(seed=seed, plain=1)
+                for seed in (1, 2)
+            }
             n = round(SECONDS / H)
-            records = records_from_arrays(model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()])
+            records = records_from_arrays(
+                model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()]
+            )
             dataset = dataset_of(model, records)
-            made[key] = Case(model, records, dataset, fit_with_noise(dataset, *base_servo_of(model, dataset)))
+            made[key] = Case(
+                model, records, dataset, fit_with_noise(dataset, *base_servo_of(model, dataset))
+            )
         return made[key]
 
     return of

@@ -1,4 +1,6 @@
-"""Diagnoses made up for the tests of what is written about them: one of each verdict, with records that look like some."""
+"""Diagnoses made up for the tests of what is written about them: one of each verdict, with records
+that look like some.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Gap, Named, Round, Trace, View
+from bristle.diagnosis.report.result import (
+    Candidate,
+    Diagnosis,
+    Estimate,
+    Gap,
+    Named,
+    Round,
+    Trace,
+    View,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,7 +38,12 @@ def model(**changes: Any) -> Model:
         "bounds": {"J": [0.003, 0.03], "a2": [0.0, 0.2], "Fc": [0.0, 0.6]},
         "time": {"column": "t", "unit": "s"},
         "input": {"column": "u", "kind": "torque", "unit": "N.m"},
-        "output": {"column": "theta", "kind": "position", "unit": "rad", "resolution": 3.834951969714103e-4},
+        "output": {
+            "column": "theta",
+            "kind": "position",
+            "unit": "rad",
+            "resolution": 3.834951969714103e-4,
+        },
     }
     return Model.from_dict(table | changes)
 
@@ -35,10 +51,11 @@ def model(**changes: Any) -> Model:
 def linear_model() -> Model:
     """Return the model of a linear axis."""
     return model(
-        parameters={"J": "2 kg", "a2": "8 N.s/m", "Fc": "3 N"}, bounds={"J": [0.5, 6.0]},
+        parameters={"J": "2 kg", "a2": "8 N.s/m", "Fc": "3 N"},
+        bounds={"J": [0.5, 6.0]},
         input={"column": "F", "kind": "force", "unit": "N"},
         output={"column": "x", "kind": "position", "unit": "mm", "resolution": 0.001},
-    )  # fmt: skip
+    )
 
 
 def estimate(value: float, unit: str, percent: float = 3.0, at_bound: bool = False) -> Estimate:
@@ -47,7 +64,11 @@ def estimate(value: float, unit: str, percent: float = 3.0, at_bound: bool = Fal
 
 
 def simulate(
-    u: Array, start: tuple[float, float], missing: Callable[[float, float], float], time: float = 0.0, last: int | None = None
+    u: Array,
+    start: tuple[float, float],
+    missing: Callable[[float, float], float],
+    time: float = 0.0,
+    last: int | None = None,
 ) -> Array:
     """Return positions by semi-implicit Euler with a friction that sticks."""
     theta, v = start
@@ -60,7 +81,13 @@ def simulate(
     return out
 
 
-def trace(name: str, seed: int, missing: Callable[[float, float], float], explained: bool = True, seconds: float = 12.0) -> Trace:
+def trace(
+    name: str,
+    seed: int,
+    missing: Callable[[float, float], float],
+    explained: bool = True,
+    seconds: float = 12.0,
+) -> Trace:
     """Return a record with simulated segments; every third is held out."""
     rng = np.random.default_rng(seed)
     time = STEP * np.arange(round(seconds / STEP))
@@ -73,7 +100,12 @@ def trace(name: str, seed: int, missing: Callable[[float, float], float], explai
     for number, first in enumerate(range(0, len(time) - SEGMENT, SEGMENT)):
         part = slice(first, first + SEGMENT)
         before[part] = simulate(u[part], (truth[first], speed[first]), lambda theta, t: 0.0)
-        after[part] = simulate(u[part], (truth[first], speed[first]), missing if explained else lambda theta, t: 0.0, time[first])
+        after[part] = simulate(
+            u[part],
+            (truth[first], speed[first]),
+            missing if explained else lambda theta, t: 0.0,
+            time[first],
+        )
         held_out[part] = number % 3 == 2
     return Trace(name, time, u, measured, before, after, held_out)
 
@@ -88,41 +120,74 @@ def position_view(amplitude: float, share: float, after: float = 0.01) -> View:
     curve = amplitude * np.sin(7 * centres + 0.4)
     noise = rng.normal(0, 0.05 * abs(amplitude) + 1e-3, (4, 41))
     return View(
-        "theta", share, 0.001, after, 0.4, centres=centres, before=np.array([curve, curve]) + noise[:2], after=0.3 * noise[2:],
+        "theta",
+        share,
+        0.001,
+        after,
+        0.4,
+        centres=centres,
+        before=np.array([curve, curve]) + noise[:2],
+        after=0.3 * noise[2:],
         lines=("forward", "backward"),
-    )  # fmt: skip
+    )
 
 
 def velocity_view(share: float) -> View:
     centres = np.linspace(-6.0, 6.0, 25)
     rng = np.random.default_rng(4)
     return View(
-        "v", share, 0.02, 0.008, 0.6, centres=centres, before=rng.normal(0.008 * np.sign(centres), 3e-3)[None],
+        "v",
+        share,
+        0.02,
+        0.008,
+        0.6,
+        centres=centres,
+        before=rng.normal(0.008 * np.sign(centres), 3e-3)[None],
         after=rng.normal(0, 2e-3, (1, 25)),
-    )  # fmt: skip
+    )
 
 
 CANDIDATES = (
-    Candidate("cogging", 412.0, 9.8), Candidate("gravity", 96.0, 9.8), Candidate("position_friction", 88.2, 9.8),
-    Candidate("hard_stop", 41.0, 9.8, "stiffness at its bound"), Candidate("eccentric_encoder", 30.5, 9.8),
-    Candidate("stribeck", 12.1, 9.8), Candidate("bias", 6.0, 9.8), Candidate("asymmetric_coulomb", 5.7, 9.8),
-    Candidate("quadratic_drag", 3.1, 9.8), Candidate("dead_zone", 2.2, 9.8), Candidate("input_delay", 1.4, 9.8),
+    Candidate("cogging", 412.0, 9.8),
+    Candidate("gravity", 96.0, 9.8),
+    Candidate("position_friction", 88.2, 9.8),
+    Candidate("hard_stop", 41.0, 9.8, "stiffness at its bound"),
+    Candidate("eccentric_encoder", 30.5, 9.8),
+    Candidate("stribeck", 12.1, 9.8),
+    Candidate("bias", 6.0, 9.8),
+    Candidate("asymmetric_coulomb", 5.7, 9.8),
+    Candidate("quadratic_drag", 3.1, 9.8),
+    Candidate("dead_zone", 2.2, 9.8),
+    Candidate("input_delay", 1.4, 9.8),
     Candidate("friction_drift", float("nan"), 9.8, "did not converge"),
-)  # fmt: skip
+)
 UNDETECTED = {
-    "stribeck": "excess 0.18 at speed 0.3 rad/s", "input_delay": "1.1 ms", "gravity": "0.004 N.m",
-    "hard_stop": "cannot be seen: the records stay within ±2.0 rad", "backlash": "0.002 rad",
+    "stribeck": "excess 0.18 at speed 0.3 rad/s",
+    "input_delay": "1.1 ms",
+    "gravity": "0.004 N.m",
+    "hard_stop": "cannot be seen: the records stay within ±2.0 rad",
+    "backlash": "0.002 rad",
     "back_emf": "cannot be seen: with a torque input it equals viscous friction",
-}  # fmt: skip
+}
 EXCITATION: dict[str, Any] = {
-    "records": 2, "samples": 12000, "duration": {"value": 24.0, "unit": "s"}, "sampling_period": {"value": STEP, "unit": "s"},
-    "input_range": {"lowest": -0.5, "highest": 0.5, "unit": "N.m"}, "input_bandwidth": {"value": 9.2, "unit": "Hz"},
-    "speed_range": {"lowest": -6.1, "highest": 5.9, "unit": "rad/s"}, "range_travelled": {"value": 4.0, "unit": "rad"},
-    "reversals": 58, "rest_share": 0.04, "forward_share": 0.47, "backward_share": 0.49, "turns_travelled": 0.63,
+    "records": 2,
+    "samples": 12000,
+    "duration": {"value": 24.0, "unit": "s"},
+    "sampling_period": {"value": STEP, "unit": "s"},
+    "input_range": {"lowest": -0.5, "highest": 0.5, "unit": "N.m"},
+    "input_bandwidth": {"value": 9.2, "unit": "Hz"},
+    "speed_range": {"lowest": -6.1, "highest": 5.9, "unit": "rad/s"},
+    "range_travelled": {"value": 4.0, "unit": "rad"},
+    "reversals": 58,
+    "rest_share": 0.04,
+    "forward_share": 0.47,
+    "backward_share": 0.49,
+    "turns_travelled": 0.63,
     "caveats": [
-        "Less than one turn: what repeats once in a turn is hardly seen.", "Little rest: bias and asymmetric friction look alike.",
+        "Less than one turn: what repeats once in a turn is hardly seen.",
+        "Little rest: bias and asymmetric friction look alike.",
     ],
-}  # fmt: skip
+}
 
 
 def named() -> Diagnosis:
@@ -131,111 +196,220 @@ def named() -> Diagnosis:
     return Diagnosis(
         verdict="named",
         statement=(
-            "Cogging explains the difference: a torque of 0.060 N·m that repeats 7 times in a turn.",
-            "On data that took no part in the search the gap shrank by 99.8 %. Nothing else stands out.",
+            (
+                "Cogging explains the difference: a torque of 0.060 N·m that repeats 7 times in a"
+                " turn."
+            ),
+            (
+                "On data that took no part in the search the gap shrank by 99.8 %. Nothing else"
+                " stands out."
+            ),
         ),
         effects=(
             Named(
-                "cogging", "cogging",
+                "cogging",
+                "cogging",
                 {
-                    "amplitude": estimate(0.06, "N.m"), "phase": estimate(0.4, "rad"), "periods": estimate(7.0, "1", 0.1),
-                    "amplitude2": estimate(0.0006, "N.m", 150), "phase2": estimate(1.2, "rad", 90),
+                    "amplitude": estimate(0.06, "N.m"),
+                    "phase": estimate(0.4, "rad"),
+                    "periods": estimate(7.0, "1", 0.1),
+                    "amplitude2": estimate(0.0006, "N.m", 150),
+                    "phase2": estimate(1.2, "rad", 90),
                 },
-                388.0, 0.001,
+                388.0,
+                0.001,
             ),
         ),
-        ties=(), experiment="A slow pass over several turns would fix the second harmonic.",
+        ties=(),
+        experiment="A slow pass over several turns would fix the second harmonic.",
         where=(position_view(0.06, 0.61), velocity_view(0.05)),
         remains=Unexplained(False, None, 0.03),
         gap=Gap(8.2e-6, 1.1e-7, 9.4e-8, "rad"),
         excitation=EXCITATION,
-        findings=("run_2.csv: 3 samples were missing at 4.21 s; the segments around them are left out.",),
-        base={"J": estimate(0.0103, "kg.m2"), "a2": estimate(0.031, "N.m.s/rad", 12), "coulomb.Fc": estimate(0.127, "N.m")},
-        parameters={"J": estimate(J, "kg.m2", 0.5), "a2": estimate(A2, "N.m.s/rad"), "coulomb.Fc": estimate(FC, "N.m", 0.7)},
+        findings=(
+            "run_2.csv: 3 samples were missing at 4.21 s; the segments around them are left out.",
+        ),
+        base={
+            "J": estimate(0.0103, "kg.m2"),
+            "a2": estimate(0.031, "N.m.s/rad", 12),
+            "coulomb.Fc": estimate(0.127, "N.m"),
+        },
+        parameters={
+            "J": estimate(J, "kg.m2", 0.5),
+            "a2": estimate(A2, "N.m.s/rad"),
+            "coulomb.Fc": estimate(FC, "N.m", 0.7),
+        },
         rounds=(
-            Round(CANDIDATES, 9.8, 0.001, "cogging", "cogging added: far above chance, no other within 15 %"),
+            Round(
+                CANDIDATES,
+                9.8,
+                0.001,
+                "cogging",
+                "cogging added: far above chance, no other within 15 %",
+            ),
             Round(second, 9.1, 0.7, None, "stopped: nothing above chance"),
         ),
         undetected=UNDETECTED,
         traces=(trace("run_1.csv", 1, cogging), trace("run_2.csv", 2, cogging)),
-        model=model(), seconds=38.0,
-    )  # fmt: skip
+        model=model(),
+        seconds=38.0,
+    )
 
 
 def tie() -> Diagnosis:
     """Bias or asymmetric Coulomb friction."""
-    parameters = {"J": estimate(J, "kg.m2"), "a2": estimate(0.02, "N.m.s/rad"), "coulomb.Fc": estimate(0.121, "N.m")}
+    parameters = {
+        "J": estimate(J, "kg.m2"),
+        "a2": estimate(0.02, "N.m.s/rad"),
+        "coulomb.Fc": estimate(0.121, "N.m"),
+    }
     candidates = tuple(
-        replace(c, gain={"bias": 61.0, "asymmetric_coulomb": 60.4}.get(c.name, min(c.gain, 21.0) * 0.4)) for c in CANDIDATES
+        replace(
+            c, gain={"bias": 61.0, "asymmetric_coulomb": 60.4}.get(c.name, min(c.gain, 21.0) * 0.4)
+        )
+        for c in CANDIDATES
     )
     return replace(
-        named(), verdict="tie",
-        statement=("A constant torque or friction that differs between the directions: these records show only their sum.",),
-        effects=(), ties=(("bias", "asymmetric_coulomb"),),
-        experiment="Add a rest phase of 2 s with a slowly rising input in both directions: a bias moves the two thresholds alike, "
-        "asymmetric friction moves them apart.",
+        named(),
+        verdict="tie",
+        statement=(
+            (
+                "A constant torque or friction that differs between the directions: these records"
+                " show only their sum."
+            ),
+        ),
+        effects=(),
+        ties=(("bias", "asymmetric_coulomb"),),
+        experiment=(
+            "Add a rest phase of 2 s with a slowly rising input in both directions: a bias moves"
+            " the two thresholds alike, asymmetric friction moves them apart."
+        ),
         where=(View("direction", 0.34, 0.001, 0.01, 0.5), velocity_view(0.22)),
         gap=Gap(1.9e-6, 1.9e-6, 1.0e-7, "rad"),
-        rounds=(Round(candidates, 9.5, 0.001, None, "bias and asymmetric_coulomb tie: 1 % between their gains"),),
-        parameters={}, choices={
-            "bias": {"torque": estimate(0.02, "N.m", 2)}, "asymmetric_coulomb": {"share": estimate(0.165, "1", 3)},
+        rounds=(
+            Round(
+                candidates,
+                9.5,
+                0.001,
+                None,
+                "bias and asymmetric_coulomb tie: 1 % between their gains",
+            ),
+        ),
+        parameters={},
+        choices={
+            "bias": {"torque": estimate(0.02, "N.m", 2)},
+            "asymmetric_coulomb": {"share": estimate(0.165, "1", 3)},
         },
         choice_parameters={"bias": parameters, "asymmetric_coulomb": parameters},
         traces=(trace("run_1.csv", 1, lambda theta, t: 0.02, explained=False),),
-    )  # fmt: skip
+    )
 
 
 def none() -> Diagnosis:
     """A tone in time that no effect of the catalogue explains."""
     candidates = tuple(replace(c, gain=min(c.gain, 30) * 0.2) for c in CANDIDATES)
-    view = View("t", 0.41, 0.001, 0.41, 0.001, centres=np.linspace(0, 12, 60), before=0.03 * np.sin(np.arange(60) * 1.1)[None],
-                after=0.03 * np.sin(np.arange(60) * 1.1)[None])  # fmt: skip
+    view = View(
+        "t",
+        0.41,
+        0.001,
+        0.41,
+        0.001,
+        centres=np.linspace(0, 12, 60),
+        before=0.03 * np.sin(np.arange(60) * 1.1)[None],
+        after=0.03 * np.sin(np.arange(60) * 1.1)[None],
+    )
     return replace(
-        named(), verdict="none",
-        statement=("No effect of the 22 explains the difference.", "Something remains: it follows time, not the motion."),
-        effects=(), where=(view,), remains=Unexplained(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
+        named(),
+        verdict="none",
+        statement=(
+            "No effect of the 22 explains the difference.",
+            "Something remains: it follows time, not the motion.",
+        ),
+        effects=(),
+        where=(view,),
+        remains=Unexplained(True, "t", 0.41),
+        gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
         experiment="Record again with the fan and the neighbouring axis switched off.",
         rounds=(Round(candidates, 9.8, 0.31, None, "stopped: nothing above chance"),),
-        parameters={}, findings=(), traces=(trace("run_1.csv", 1, lambda theta, t: float(0.04 * np.sin(12 * t)), explained=False),),
-    )  # fmt: skip
+        parameters={},
+        findings=(),
+        traces=(
+            trace("run_1.csv", 1, lambda theta, t: float(0.04 * np.sin(12 * t)), explained=False),
+        ),
+    )
 
 
 def not_identifiable() -> Diagnosis:
     """A linear axis that hardly moves."""
     slow = trace("slow.csv", 3, lambda theta, t: 0.0, seconds=6.0)
-    scaled = replace(slow, measured=slow.measured * 5e-3, before=slow.before * 5e-3, after=slow.after * 5e-3)
+    scaled = replace(
+        slow, measured=slow.measured * 5e-3, before=slow.before * 5e-3, after=slow.after * 5e-3
+    )
     return replace(
-        named(), verdict="not_identifiable",
-        statement=("The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be distinguished.",),
-        effects=(), where=(), remains=Unexplained(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
+        named(),
+        verdict="not_identifiable",
+        statement=(
+            (
+                "The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be"
+                " distinguished."
+            ),
+        ),
+        effects=(),
+        where=(),
+        remains=Unexplained(False, None, 0.02),
+        gap=Gap(4.0e-11, 4.0e-11, None, "m"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
-            "J": estimate(6.0, "kg", at_bound=True), "a2": estimate(7.0, "N.s/m", 80),
+            "J": estimate(6.0, "kg", at_bound=True),
+            "a2": estimate(7.0, "N.s/m", 80),
             "coulomb.Fc": estimate(3.4, "N", 40),
         },
-        parameters={}, rounds=(), undetected={},
+        parameters={},
+        rounds=(),
+        undetected={},
         excitation={
-            "range_travelled": {"value": 0.003, "unit": "m"}, "reversals": 2,
+            "range_travelled": {"value": 0.003, "unit": "m"},
+            "reversals": 2,
             "speed_range": {"lowest": 0.010, "highest": 0.011, "unit": "m/s"},
             "caveats": ["Two reversals only."],
         },
-        findings=(), traces=(scaled,), model=linear_model(), seconds=4.0,
-    )  # fmt: skip
+        findings=(),
+        traces=(scaled,),
+        model=linear_model(),
+        seconds=4.0,
+    )
 
 
 def proposals() -> Diagnosis:
     """An input with the wrong sign."""
     return replace(
-        none(), verdict="not_identifiable", remains=Unexplained(False, None, 0.0),
+        none(),
+        verdict="not_identifiable",
+        remains=Unexplained(False, None, 0.0),
         statement=("The input does not fit the motion, so nothing was searched.",),
         proposals=(
-            "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its sign, or that of theta.",
-            "run_1.csv, column theta: speeds of 344 rad/s from 0.4 N.m; it looks like degrees: write unit = \"deg\".",
+            (
+                "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its"
+                " sign, or that of theta."
+            ),
+            (
+                "run_1.csv, column theta: speeds of 344 rad/s from 0.4 N.m; it looks like degrees:"
+                ' write unit = "deg".'
+            ),
         ),
-        where=(), rounds=(), undetected={}, base={}, experiment="", gap=Gap(4.1, 4.1, None, "rad"),
-    )  # fmt: skip
+        where=(),
+        rounds=(),
+        undetected={},
+        base={},
+        experiment="",
+        gap=Gap(4.1, 4.1, None, "rad"),
+    )
 
 
 CASES: dict[str, Callable[[], Diagnosis]] = {
-    "named": named, "tie": tie, "none": none, "not_identifiable": not_identifiable, "proposals": proposals,
-}  # fmt: skip
+    "named": named,
+    "tie": tie,
+    "none": none,
+    "not_identifiable": not_identifiable,
+    "proposals": proposals,
+}

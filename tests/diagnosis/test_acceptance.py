@@ -1,4 +1,6 @@
-"""Rules by which the search accepts effects: size and significance, changes of form, detectable size, width of intervals."""
+"""Rules by which the search accepts effects: size and significance, changes of form, detectable
+size, width of intervals.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,20 @@ from bristle.diagnosis.preparation import base_servo_of
 from bristle.diagnosis.selection import stepwise
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Assessment, Candidate
 from bristle.diagnosis.selection.criterion import Comparison, is_tied, simplest
-from bristle.diagnosis.selection.effect_size import fall, fall_in_all, left_out_loss, net_share, predictive_density
+from bristle.diagnosis.selection.effect_size import (
+    fall,
+    fall_in_all,
+    left_out_loss,
+    net_share,
+    predictive_density,
+)
 from bristle.diagnosis.selection.refinement import add_effect, is_wave_harmonic
-from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions, bristle_starts, joint_starts_of
+from bristle.diagnosis.selection.start_values import (
+    SearchContext,
+    SearchOptions,
+    bristle_starts,
+    joint_starts_of,
+)
 from bristle.diagnosis.selection.stepwise import (
     CERTAIN_LEVELS,
     decide,
@@ -51,7 +64,9 @@ def test_what_diverges_by_chance_does_not_hide_a_fall_of_the_error():
 
 
 def test_the_fall_of_the_error_is_that_where_an_effect_acts():
-    """In one segment of 75 as in all of them; and one that is simulated to the last bit does not make up for the others."""
+    """In one segment of 75 as in all of them; and one that is simulated to the last bit does not
+    make up for the others.
+    """
     before, after = np.full(75, 2.0), np.full(75, 2.0)
     after[7] = 1.0
     acts = np.zeros(75)
@@ -66,7 +81,8 @@ def test_the_fall_of_the_error_is_that_where_an_effect_acts():
 
 
 @pytest.mark.parametrize(
-    ("gains", "share"), [([3.0, 1.0], 1.0), ([3.0, -1.0], 0.5), ([1.0, -1.0], 0.0), ([0.0, 0.0], 0.0), ([-2.0], -1.0)]
+    ("gains", "share"),
+    [([3.0, 1.0], 1.0), ([3.0, -1.0], 0.5), ([1.0, -1.0], 0.0), ([0.0, 0.0], 0.0), ([-2.0], -1.0)],
 )
 def test_losses_of_some_segments_count_against_the_gains_of_others(gains, share):
     assert net_share(np.array(gains)) == pytest.approx(share)
@@ -75,11 +91,16 @@ def test_losses_of_some_segments_count_against_the_gains_of_others(gains, share)
 @pytest.mark.parametrize(
     ("falls", "predicted", "net", "objection"),
     [
-        (1.3, 30, 0.8, ""), (1.3, 19, 0.8, "likelier that its parameters"), (1.1, 3000, 1.0, "squared error too little"),
-        (3.0, -1, 0.8, "likelier that its parameters"), (3.0, 3000, 0.45, "less likely"),
+        (1.3, 30, 0.8, ""),
+        (1.3, 19, 0.8, "likelier that its parameters"),
+        (1.1, 3000, 1.0, "squared error too little"),
+        (3.0, -1, 0.8, "likelier that its parameters"),
+        (3.0, 3000, 0.45, "less likely"),
     ],
-)  # fmt: skip
-def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few_losses(falls, predicted, net, objection):
+)
+def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few_losses(
+    falls, predicted, net, objection
+):
     """However much of the one, it does not take the place of another."""
     assessment = Assessment(20.0, falls, predicted, net)
     assert assessment.accepted is (objection == "")
@@ -88,7 +109,9 @@ def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few
 
 @pytest.mark.parametrize("name", ["bias", "hard_stop"])
 def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name):
-    """They speak against an effect if they measured what the model without it simulates; a stop is met in few segments only."""
+    """They speak against an effect if they measured what the model without it simulates; a stop is
+    met in few segments only.
+    """
     made = case(name)
     found = evaluate_candidates(SearchContext(made.dataset, made.base), [name])
     problem, plain = made.base.problem, made.base.fit
@@ -97,14 +120,18 @@ def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name)
     mine = comparison.assess(fit, found.level)
     assert mine.accepted
     measured = problem.measured - np.where(train[:, None], 0.0, plain.residual)
-    spoilt = Comparison.of(made.dataset, replace(problem, measured=measured), plain).assess(fit, found.level)
+    spoilt = Comparison.of(made.dataset, replace(problem, measured=measured), plain).assess(
+        fit, found.level
+    )
     assert spoilt.predictive_gain < mine.predictive_gain - 2
     assert spoilt.net_share < mine.net_share
     assert not comparison.assess(plain, 0.0).accepted  # nothing added
 
 
 def test_a_segment_is_predicted_as_if_the_fit_had_been_made_without_it(case):
-    """Of the segments that move the fit most, it costs about as much as a refit without each does, and what is not known then."""
+    """Of the segments that move the fit most, it costs about as much as a refit without each does,
+    and what is not known then.
+    """
     made = case("bias")
     problem, fit = made.base.problem, maximise(made.base.problem, made.base.fit, stop_gain=1e-4)
     quick = fit.score - predictive_density(problem.only(made.dataset.held_out), fit)
@@ -121,7 +148,9 @@ def test_a_segment_is_predicted_as_if_the_fit_had_been_made_without_it(case):
 @pytest.mark.parametrize("beside", [0.0, 0.3])
 @pytest.mark.parametrize("lone", [False, True])
 def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(lone, beside):
-    """The density of each block of y given the others, from the maximum and from beside it; also of what one block alone shows."""
+    """The density of each block of y given the others, from the maximum and from beside it; also of
+    what one block alone shows.
+    """
     rng = np.random.default_rng(3)
     x, sd = rng.standard_normal((7, 5, 3)), np.array([2.0, 0.5, 1.0])
     if lone:
@@ -134,7 +163,9 @@ def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(
 
     def density(blocks):
         flat, wide = y[blocks].ravel(), x[blocks].reshape(-1, 3)
-        return multivariate_normal(np.zeros(len(flat)), np.eye(len(flat)) + wide @ np.diag(sd**2) @ wide.T).logpdf(flat)
+        return multivariate_normal(
+            np.zeros(len(flat)), np.eye(len(flat)) + wide @ np.diag(sd**2) @ wide.T
+        ).logpdf(flat)
 
     expected = [density(np.arange(7)) - density(np.arange(7) != k) for k in range(7)]
     rest = y - x @ point
@@ -147,10 +178,13 @@ def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(
 @pytest.mark.parametrize(
     ("has", "name", "periods", "form"),
     [
-        ("gravity", "cogging", 2.02, True), ("gravity", "cogging", 3.0, True), ("gravity", "cogging", 7.0, False),
-        ("gravity", "position_friction", 2.0, False), ("bias", "cogging", 2.0, False),
+        ("gravity", "cogging", 2.02, True),
+        ("gravity", "cogging", 3.0, True),
+        ("gravity", "cogging", 7.0, False),
+        ("gravity", "position_friction", 2.0, False),
+        ("bias", "cogging", 2.0, False),
     ],
-)  # fmt: skip
+)
 def test_a_multiple_of_a_wave_is_part_of_its_form(has, name, periods, form):
     dataset = SimpleNamespace(turn=2 * np.pi)
     fitted = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
@@ -159,7 +193,9 @@ def test_a_multiple_of_a_wave_is_part_of_its_form(has, name, periods, form):
 
 
 def test_the_search_sees_the_ends_of_the_range(case):
-    """A segment that would be kept from it, but for the largest position, the lowest or an extreme of the input."""
+    """A segment that would be kept from it, but for the largest position, the lowest or an extreme
+    of the input.
+    """
     dataset = case(None).dataset
     length = len(dataset.motion.theta) // len(dataset.segments.counted)
     kept = int(np.flatnonzero(dataset.held_out)[1])
@@ -181,7 +217,9 @@ def spectrum_p(seed: int, tone: float) -> float:
     slow = np.cumsum(rng.standard_normal((60, 50)), axis=1)
     slow -= slow.mean(axis=1, keepdims=True)
     signs = np.concatenate([np.ones((1, 60)), rng.choice([-1.0, 1.0], (SIGN_DRAWS // 5, 60))])
-    return line_p(time, np.zeros(60, dtype=int), slow + tone * np.sin(2 * np.pi * 3.1 * time), signs)
+    return line_p(
+        time, np.zeros(60, dtype=int), slow + tone * np.sin(2 * np.pi * 3.1 * time), signs
+    )
 
 
 def test_a_tone_is_one_among_the_highest_lines_that_chance_finds():
@@ -195,11 +233,14 @@ def moved(*begins: float) -> Motion:
     """A motion of records of 20 s that begin at such times."""
     time = np.concatenate([begin + 0.008 * np.arange(2500) for begin in begins])
     still = np.zeros(len(time))
-    return Motion(still, still, still, still, time, still > 0, np.repeat(np.arange(len(begins)), 2500))
+    return Motion(
+        still, still, still, still, time, still > 0, np.repeat(np.arange(len(begins)), 2500)
+    )
 
 
 @pytest.mark.parametrize(
-    ("begins", "count"), [((0, 25), 1), ((0, 0), 2), ((0, 3600), 2), ((500, 25, 525), 3), ((30, 0), 1), ((7,), 1)]
+    ("begins", "count"),
+    [((0, 25), 1), ((0, 0), 2), ((0, 3600), 2), ((500, 25, 525), 3), ((30, 0), 1), ((7,), 1)],
 )
 def test_records_share_a_clock_if_they_lie_one_after_the_other(begins, count):
     assert len(np.unique(clocks(moved(*begins)))) == count
@@ -209,10 +250,14 @@ def test_records_share_a_clock_if_they_lie_one_after_the_other(begins, count):
 def test_a_tone_of_one_record_is_seen_whichever_record_begins_at_the_same_time(shown):
     m = moved(0, 0)
     time, clock = m.time.reshape(100, 50), clocks(m).reshape(100, 50)[:, 0]
-    rough = np.sin(2 * np.pi * 3.1 * time) * (clock == shown)[:, None] + np.random.default_rng(5).standard_normal(time.shape)
+    rough = np.sin(2 * np.pi * 3.1 * time) * (clock == shown)[:, None] + np.random.default_rng(
+        5
+    ).standard_normal(time.shape)
     frequency, amplitudes = spectrum(time, clock, rough)
     assert frequency[np.argmax(amplitudes(np.ones(100)))] == pytest.approx(3.1, abs=0.02)
-    signs = np.concatenate([np.ones((1, 100)), np.random.default_rng(6).choice([-1.0, 1.0], (SIGN_DRAWS // 5, 100))])
+    signs = np.concatenate(
+        [np.ones((1, 100)), np.random.default_rng(6).choice([-1.0, 1.0], (SIGN_DRAWS // 5, 100))]
+    )
     assert line_p(time, clock, rough, signs) < 0.01
 
 
@@ -229,27 +274,36 @@ def test_a_step_is_looked_for_where_there_are_records():
 
 
 def test_something_is_kept_from_the_search_of_the_shortest_record(case):
-    """Five segments of which the only one to keep holds an end of the range, and two, of which none is the fourth."""
+    """Five segments of which the only one to keep holds an end of the range, and two, of which none
+    is the fourth.
+    """
     dataset = case(None).dataset
     length = len(dataset.motion.theta) // len(dataset.segments.counted)
     for count in (5, 2):
         piece = dataset.segments.pieces[0]
         piece = replace(
-            piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("measured", "initial", "initial_sd")}
+            piece,
+            u=piece.u[: count * length],
+            **{k: getattr(piece, k)[:count] for k in ("measured", "initial", "initial_sd")},
         )
         theta, u = np.zeros(count * length), np.zeros(count * length)
         theta[min(3, count - 1) * length] = 1.0
         short = replace(
-            dataset, segments=replace(dataset.segments, pieces=(piece,)), motion=replace(dataset.motion, theta=theta, u=u)
+            dataset,
+            segments=replace(dataset.segments, pieces=(piece,)),
+            motion=replace(dataset.motion, theta=theta, u=u),
         )
         assert short.held_out.tolist() == [k == min(3, count - 1) for k in range(count)]
 
 
 @pytest.mark.parametrize(
-    ("uneven", "curve", "low", "high"), [(0.0, 400.0, 0.19, 0.2), (20.0, 400.0, 0.3, 0.7), (0.0, 0.1, 1.0, 1.0)]
+    ("uneven", "curve", "low", "high"),
+    [(0.0, 400.0, 0.19, 0.2), (20.0, 400.0, 0.3, 0.7), (0.0, 0.1, 1.0, 1.0)],
 )
 def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, low, high):
-    """Half the width is where a parabola has fallen by the usual and by twice the unevenness, a second at most."""
+    """Half the width is where a parabola has fallen by the usual and by twice the unevenness, a
+    second at most.
+    """
     rng, name = np.random.default_rng(4), "disturbance_step.onset"
 
     def likelihood(problem, point):
@@ -263,8 +317,14 @@ def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, 
 
 
 def test_no_interval_leaves_what_a_parameter_may_be(monkeypatch, fabricated):
-    free = (Free("hard_stop.stiffness", 0.0, 1e9), Free("hard_stop.upper", -1e6, 1e6), Free("J", 1e-9, 1e9, factor=True))
-    fit = SimpleNamespace(free=free, values={"hard_stop.stiffness": 0.2, "hard_stop.upper": 0.2, "J": 0.01})
+    free = (
+        Free("hard_stop.stiffness", 0.0, 1e9),
+        Free("hard_stop.upper", -1e6, 1e6),
+        Free("J", 1e-9, 1e9, factor=True),
+    )
+    fit = SimpleNamespace(
+        free=free, values={"hard_stop.stiffness": 0.2, "hard_stop.upper": 0.2, "J": 0.01}
+    )
     monkeypatch.setattr(intervals, "covariance", lambda fit: np.eye(3))
     found = {name: each.ci95 for name, each in intervals.estimates(fabricated.model(), fit).items()}
     assert found["hard_stop.stiffness"][0] == 0.0  # a stop does not pull
@@ -282,7 +342,9 @@ def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(fabricate
 
 
 def test_nothing_is_proposed_where_the_records_leave_no_bound(fabricated):
-    assert conclusion.widening(fabricated.model(), {"J": Free("J", 0.003, 0.006)}, {"J": 0.006}) == ""
+    assert (
+        conclusion.widening(fabricated.model(), {"J": Free("J", 0.003, 0.006)}, {"J": 0.006}) == ""
+    )
 
 
 def test_a_moment_moves_by_seconds_and_a_play_by_factors():
@@ -293,7 +355,11 @@ def test_a_moment_moves_by_seconds_and_a_play_by_factors():
 def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
     servo = case(None).base.servo
     [own] = [f.nominal_value for f in servo.free if f.name == "bristle_damping.stiffness"]
-    for name, factor, outdone in (("presliding", 1.01, True), ("bristle_damping", 1.01, True), ("presliding", 0.5, False)):
+    for name, factor, outdone in (
+        ("presliding", 1.01, True),
+        ("bristle_damping", 1.01, True),
+        ("presliding", 0.5, False),
+    ):
         assert servo.adds_no_bristles(name, {f"{name}.stiffness": factor * own}) is outdone
     assert not servo.adds_no_bristles("compliance", {"compliance.stiffness": 10 * own})
     with_bristles = replace(
@@ -305,10 +371,15 @@ def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
 def test_bristles_also_begin_as_those_of_the_model(case):
     base = case(None).base
     [start] = bristle_starts(base, "bristle_damping")
-    assert start == {key: base.fit.values[f"bristle_damping.{key}"] for key in ("stiffness", "damping")}
+    assert start == {
+        key: base.fit.values[f"bristle_damping.{key}"] for key in ("stiffness", "damping")
+    }
     assert list(bristle_starts(base, "presliding")[0]) == ["stiffness"]
     assert bristle_starts(base, "cogging") == []
-    assert bristle_starts(replace(base, servo=replace(base.servo, rigid=False)), "bristle_damping") == []
+    assert (
+        bristle_starts(replace(base, servo=replace(base.servo, rigid=False)), "bristle_damping")
+        == []
+    )
 
 
 @pytest.mark.parametrize("diverged", [True, False])
@@ -316,7 +387,11 @@ def test_where_a_model_diverges_start_values_with_less_dry_friction_are_added(di
     made = case("cogging")
     starts = joint_starts_of(SearchContext(made.dataset, made.base), diverged)("cogging")
     half = 0.5 * made.base.fit.values["coulomb.Fc"]
-    found = [s for whole, s in starts if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
+    found = [
+        s
+        for whole, s in starts
+        if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]
+    ]
     assert bool(found) is diverged
     assert len(starts) > len(found)  # and as before
 
@@ -328,24 +403,41 @@ def test_a_dead_zone_that_holds_most_of_the_input_back_must_be_beyond_doubt(case
     found = evaluate_candidates(SearchContext(made.dataset, made.base), ["dead_zone"])
     assert found.best.name == "dead_zone"
     assert required_gain(found.best, credible, found.null) == found.level
-    assert required_gain(found.best, {"dead_zone.width": (0.0, 0.01)}, found.null) == CERTAIN_LEVELS * found.level
+    assert (
+        required_gain(found.best, {"dead_zone.width": (0.0, 0.01)}, found.null)
+        == CERTAIN_LEVELS * found.level
+    )
 
 
 def fitted(name, size, each, n=100):
-    """Return a candidate of so many parameters that gains so many nats in each of its segments, more or less."""
+    """Return a candidate of so many parameters that gains so many nats in each of its segments,
+    more or less.
+    """
     score = each + 0.5 * np.resize([1.0, -1.0], n)
     total = float(score.sum())
     return Candidate(
-        name, SimpleNamespace(score=score, weight=np.ones(n), free=[None] * size, total=total, penalised=total - 2.3 * size)
+        name,
+        SimpleNamespace(
+            score=score,
+            weight=np.ones(n),
+            free=[None] * size,
+            total=total,
+            penalised=total - 2.3 * size,
+        ),
     )
 
 
 @pytest.mark.parametrize(
     ("ahead", "uneven", "simple"),
-    [(0.03, 0.1, True), (0.08, 0.7, True), (0.08, 0.1, False), (0.30, 0.4, False)],  # nats a segment of 100, and their spread
+    # nats a segment of 100, and their spread
+    [(0.03, 0.1, True), (0.08, 0.7, True), (0.08, 0.1, False), (0.30, 0.4, False)],
 )
-def test_of_two_effects_within_a_standard_error_the_one_with_fewer_parameters_is_named(ahead, uneven, simple):
-    """A step soon after the start is nearly a constant torque, and can be moved to where it gains a few nats more."""
+def test_of_two_effects_within_a_standard_error_the_one_with_fewer_parameters_is_named(
+    ahead, uneven, simple
+):
+    """A step soon after the start is nearly a constant torque, and can be moved to where it gains a
+    few nats more.
+    """
     plain, rich = fitted("bias", 5, 1.0), fitted("disturbance_step", 6, 1.0 + ahead)
     rich.fit.score[:50] += uneven  # where the step is not yet: what the difference is uncertain by
     rich.fit.score[50:] -= uneven
@@ -354,29 +446,55 @@ def test_of_two_effects_within_a_standard_error_the_one_with_fewer_parameters_is
 
 @pytest.mark.parametrize(
     ("size", "behind", "uniform", "tied"),
-    [(5, 0.05, False, True), (5, 0.07, False, False), (6, 0.03, False, False), (5, 0.3, True, True), (5, 0.5, True, False)],
+    [
+        (5, 0.05, False, True),
+        (5, 0.07, False, False),
+        (6, 0.03, False, False),
+        (5, 0.3, True, True),
+        (5, 0.5, True, False),
+    ],
 )
 def test_what_is_hardly_less_likely_and_no_richer_is_tied(size, behind, uniform, tied):
     """In uniform motion everything that gains nearly as much."""
-    best, other, without = fitted("bias", 5, 1.0), fitted("gravity", size, 1.0 - behind), fitted("", 4, 0.0)
+    best, other, without = (
+        fitted("bias", 5, 1.0),
+        fitted("gravity", size, 1.0 - behind),
+        fitted("", 4, 0.0),
+    )
     assert is_tied(best, other, without.fit, uniform) is tied
 
 
-@pytest.mark.parametrize(("name", "uneven", "tied"), [("gravity", 2.0, True), ("gravity", 0.2, False), ("cogging", 2.0, False)])
+@pytest.mark.parametrize(
+    ("name", "uneven", "tied"),
+    [("gravity", 2.0, True), ("gravity", 0.2, False), ("cogging", 2.0, False)],
+)
 def test_what_is_in_one_class_is_tied_within_a_standard_error(name, uneven, tied):
-    """8 nats behind in 100 segments, of which one half is for the one and the other half for the other."""
-    best, other, without = fitted("return_spring", 6, 1.0), fitted(name, 6, 0.92), fitted("", 4, 0.0)
+    """8 nats behind in 100 segments, of which one half is for the one and the other half for the
+    other.
+    """
+    best, other, without = (
+        fitted("return_spring", 6, 1.0),
+        fitted(name, 6, 0.92),
+        fitted("", 4, 0.0),
+    )
     other.fit.score[:50] += uneven
     other.fit.score[50:] -= uneven
     assert is_tied(best, other, without.fit, uniform=False) is tied
 
 
-SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
+SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))[
+    "effects"
+]
 FORMS = {
-    "compliance": {"hardening": 3000.0}, "backlash": {"exponent": 1.5}, "stribeck": {"exponent": 1.0},
-    "hard_stop": {"exponent": 2.0}, "friction_drift": {"rate": 0.2, "settling": 0.5}, "gravity": {"sine2": 0.2, "cosine2": -0.2},
-    "position_friction": {"sine2": 0.3, "cosine2": 0.2}, "eccentric_encoder": {"amplitude": 0.03, "sine2": 0.2, "cosine2": 0.15},
-}  # fmt: skip
+    "compliance": {"hardening": 3000.0},
+    "backlash": {"exponent": 1.5},
+    "stribeck": {"exponent": 1.0},
+    "hard_stop": {"exponent": 2.0},
+    "friction_drift": {"rate": 0.2, "settling": 0.5},
+    "gravity": {"sine2": 0.2, "cosine2": -0.2},
+    "position_friction": {"sine2": 0.3, "cosine2": 0.2},
+    "eccentric_encoder": {"amplitude": 0.03, "sine2": 0.2, "cosine2": 0.15},
+}
 
 
 @pytest.mark.parametrize("name", list(FORMS))
@@ -402,7 +520,9 @@ def test_every_form_is_tried():
 
 @pytest.mark.slow
 def test_an_exhaustive_search_finds_what_a_quick_one_does_not(case):
-    """A shaft that two start values and few steps miss by thousands of nats; the poor fit is noticed."""
+    """A shaft that two start values and few steps miss by thousands of nats; the poor fit is
+    noticed.
+    """
     made = case("compliance", share=0.25, stiffness=3.0, damping=0.004)
     context = SearchContext(made.dataset, made.base)
     assert propose_effect(context, ["compliance"], QUICK).outcome != "added"
@@ -414,28 +534,39 @@ def test_an_exhaustive_search_finds_what_a_quick_one_does_not(case):
 
 
 def test_an_effect_may_be_given_start_values_and_all_effort(case):
-    """As a benchmark does that knows the answer: the exhaustive search is made in the first pass."""
+    """As a benchmark does that knows the answer: the exhaustive search is made in the first
+    pass.
+    """
     made = case("compliance", share=0.25, stiffness=3.0, damping=0.004)
     truth = {"share": 0.25, "stiffness": 3.0, "damping": 0.004}
     context = SearchContext(
-        made.dataset, made.base, SearchOptions(start_values={"compliance": [truth]}, exhaustive=("compliance",))
+        made.dataset,
+        made.base,
+        SearchOptions(start_values={"compliance": [truth]}, exhaustive=("compliance",)),
     )
     assert context.start_values("compliance", context.evidence)[0] is truth
-    assert len(context.start_values("bias", context.evidence)) == len(effect("bias").starts(context.evidence))
+    assert len(context.start_values("bias", context.evidence)) == len(
+        effect("bias").starts(context.evidence)
+    )
     assert propose_effect(context, ["compliance"], QUICK).outcome == "added"
 
 
 @pytest.mark.slow
 def test_a_contact_is_found_because_its_load_is_initialised(case):
-    """From start values that are far off, in few steps, nearly as well as from the truth: unless the load is placed, 15 % worse."""
+    """From start values that are far off, in few steps, nearly as well as from the truth: unless
+    the load is placed, 15 % worse.
+    """
     truth = {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3}
     made = case("backlash", **truth)
-    known = SearchContext(made.dataset, made.base, SearchOptions(start_values={"backlash": [truth]}))
+    known = SearchContext(
+        made.dataset, made.base, SearchOptions(start_values={"backlash": [truth]})
+    )
     best = propose_effect(known, ["backlash"], QUICK)
     found = propose_effect(SearchContext(made.dataset, made.base), ["backlash"], QUICK)
     assert found.outcome == "added"
     assert found.gain > 1000
-    # contacts amplify rounding: 0.0378 after the few steps of a quick search with another version of the linear algebra
+    # contacts amplify rounding: 0.0378 after the few steps of a quick search with another version
+    # of the linear algebra
     assert found.best.fit.values["backlash.play"] == pytest.approx(truth["play"], rel=0.1)
     assert found.gain > 0.9 * best.gain
 
@@ -446,12 +577,17 @@ def test_a_model_that_lacks_nothing_fits_well(case):
 
 
 def test_an_effect_is_rejected_only_after_another_shape_was_tried(case):
-    """A disc with a second harmonic: with the usual shape made too small by hand, the other one is added."""
+    """A disc with a second harmonic: with the usual shape made too small by hand, the other one is
+    added.
+    """
     made = case("eccentric_encoder", **FORMS["eccentric_encoder"])
     context = SearchContext(made.dataset, made.base)
     found = evaluate_candidates(context, ["eccentric_encoder"])
     assert "eccentric_encoder.sine2" not in [f.name for f in found.best.fit.free]
-    small = replace(found, best=replace(found.best, assessment=replace(found.best.assessment, error_reduction=1.1)))
+    small = replace(
+        found,
+        best=replace(found.best, assessment=replace(found.best.assessment, error_reduction=1.1)),
+    )
     decided = decide(context, small)
     assert decided.outcome == "added"
     assert decided.best.fit.values["eccentric_encoder.sine2"] == pytest.approx(0.2, rel=0.25)
@@ -462,7 +598,10 @@ def test_an_effect_that_is_too_small_in_any_shape_is_rejected(case):
     context = SearchContext(made.dataset, made.base)
     found = evaluate_candidates(context, ["bias"])
     assert decide(context, found).outcome == "added"
-    small = replace(found, best=replace(found.best, assessment=replace(found.best.assessment, error_reduction=1.1)))
+    small = replace(
+        found,
+        best=replace(found.best, assessment=replace(found.best.assessment, error_reduction=1.1)),
+    )
     assert retry_with_shape(context, small) is small
     rejected = decide(context, small)
     assert (rejected.outcome, rejected.ties) == ("rejected", ())
@@ -472,27 +611,43 @@ def test_an_effect_that_is_too_small_in_any_shape_is_rejected(case):
 @pytest.mark.parametrize(("exponent", "moves"), [(1.0, False), (1.5, True)])
 def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, moves):
     made = case("backlash")
-    given = {p.name.removeprefix("backlash."): p.default for p in effect("backlash").parameters} | {"exponent": exponent}
+    given = {p.name.removeprefix("backlash."): p.default for p in effect("backlash").parameters} | {
+        "exponent": exponent
+    }
     servo, _ = base_servo_of(replace(made.model, effects={"backlash": given}), made.dataset)
     assert ("backlash.exponent" in [f.name for f in servo.free]) is moves
     assert "backlash.play" in [f.name for f in servo.free]
 
 
-def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkeypatch, search_among):
+def test_a_further_effect_is_added_only_where_its_strength_is_known(
+    case, monkeypatch, search_among
+):
     """The first one is, too, where it is not, but not nothing: that is said in the headline."""
     made = case("gravity")
     search_among("gravity", "bias")
     context = SearchContext(made.dataset, made.base, SearchOptions())
     outcomes = {}
     for reach in (0.3, 0.7, 1.5):  # of the interval, over the strength
-        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, share, reach=reach: reach < share)
+        monkeypatch.setattr(
+            stepwise, "strength_is_known", lambda *_, share, reach=reach: reach < share
+        )
         for further in (True, False):
-            outcomes[reach, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
-    assert [reach for (reach, further), outcome in outcomes.items() if further and outcome == "added"] == [0.3]
-    assert [reach for (reach, further), outcome in outcomes.items() if not further and outcome == "added"] == [0.3, 0.7]
+            outcomes[reach, further] = propose_effect(
+                context, ["gravity", "bias"], QUICK, further
+            ).outcome
+    assert [
+        reach for (reach, further), outcome in outcomes.items() if further and outcome == "added"
+    ] == [0.3]
+    assert [
+        reach
+        for (reach, further), outcome in outcomes.items()
+        if not further and outcome == "added"
+    ] == [0.3, 0.7]
     assert {key: outcome for key, outcome in outcomes.items() if outcome != "added"} == {
-        (0.7, True): "rejected", (1.5, True): "rejected", (1.5, False): "limit",
-    }  # fmt: skip
+        (0.7, True): "rejected",
+        (1.5, True): "rejected",
+        (1.5, False): "limit",
+    }
 
 
 @pytest.mark.parametrize(
@@ -504,13 +659,17 @@ def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkey
         (5.0, (4.9, 5.1), True, False),
     ],
 )
-def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(monkeypatch, value, ends, bound, known):
+def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(
+    monkeypatch, value, ends, bound, known
+):
     free = (Free("J", 0.0, 1.0), Free("gravity.amplitude", 0.0, 5.0))
     fit = SimpleNamespace(free=free, values={"J": 0.5, "gravity.amplitude": value})
     monkeypatch.setattr(intervals, "intervals", lambda *_: [(0.0, 9.0), ends])
     assert free[1].at_bound(value) is bound
     assert intervals.strength_is_known(fit, None, "gravity", 0.5) is known
-    assert intervals.strength_is_known(SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity", 0.5)
+    assert intervals.strength_is_known(
+        SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity", 0.5
+    )
 
 
 @pytest.mark.parametrize(("ends", "known"), [((0.0, 0.04), False), ((0.019, 0.021), True)])

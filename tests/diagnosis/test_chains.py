@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.estimation import dataset, simulator
-from bristle.diagnosis.estimation.dataset import NARROW_LANES, WIDE_LANES, Grid, Segments, chains_of, cut
+from bristle.diagnosis.estimation.dataset import (
+    NARROW_LANES,
+    WIDE_LANES,
+    Grid,
+    Segments,
+    chains_of,
+    cut,
+)
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
 from bristle.diagnosis.preparation import fixed_values
 from bristle.model import lanes
@@ -17,9 +24,15 @@ from bristle.model import lanes
 H, WIDTH, BINS = 1e-3, 8, 50
 GRID = Grid(H, WIDTH, BINS, False)
 VALUES = {
-    "J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12, "disturbance_step.torque": 0.05, "disturbance_step.onset": 8.2,
-    f"{OWN_BRISTLES}.stiffness": 1200.0, f"{OWN_BRISTLES}.damping": 2.0,
-}  # fmt: skip
+    "J": 0.01,
+    "a2": 0.02,
+    "b": 1.0,
+    "coulomb.Fc": 0.12,
+    "disturbance_step.torque": 0.05,
+    "disturbance_step.onset": 8.2,
+    f"{OWN_BRISTLES}.stiffness": 1200.0,
+    f"{OWN_BRISTLES}.damping": 2.0,
+}
 
 
 def records(*counts: int) -> Segments:
@@ -34,29 +47,42 @@ def records(*counts: int) -> Segments:
 
 
 def servo(segments: Segments, effects: tuple[str, ...] = ("disturbance_step",)) -> Simulator:
-    return Servo("coulomb", (), ("J", "a2", "coulomb.Fc"), (), fixed_values(H), True).simulator(segments, effects)
+    return Servo("coulomb", (), ("J", "a2", "coulomb.Fc"), (), fixed_values(H), True).simulator(
+        segments, effects
+    )
 
 
-@pytest.mark.parametrize("counts", [(1,), (2,), (1, 1), (3, 1), (8,), (50, 50), (37, 12, 1), (1,) * 9, (30,) * 10, (400,)])
+@pytest.mark.parametrize(
+    "counts",
+    [(1,), (2,), (1, 1), (3, 1), (8,), (50, 50), (37, 12, 1), (1,) * 9, (30,) * 10, (400,)],
+)
 def test_each_segment_is_simulated_once_after_the_one_before_it(counts):
     segments = records(*counts)
     groups = chains_of(segments)
     assert {len(group.first) for group in groups} <= {NARROW_LANES, WIDE_LANES}
-    written = np.concatenate([np.arange(b, e) for g in groups for b, e in zip(g.begin, g.end, strict=True)])
+    written = np.concatenate(
+        [np.arange(b, e) for g in groups for b, e in zip(g.begin, g.end, strict=True)]
+    )
     assert written.tolist() == list(range(sum(counts)))
     starts = np.cumsum([0, *counts[:-1]])
     for group in groups:
-        for time, first, begin, end in zip(group.times, group.first, group.begin, group.end, strict=True):
+        for time, first, begin, end in zip(
+            group.times, group.first, group.begin, group.end, strict=True
+        ):
             if begin == end:
                 continue
             record = int(np.searchsorted(starts, begin, "right")) - 1
             assert end <= starts[record] + counts[record]
             assert first == (begin if begin in starts else begin - 1)
-            assert time == pytest.approx(segments.pieces[record].time + (first - starts[record]) * segments.seconds)
+            assert time == pytest.approx(
+                segments.pieces[record].time + (first - starts[record]) * segments.seconds
+            )
 
 
 def test_long_records_are_cut_and_short_ones_are_not():
-    """Two records of 50 segments take 14 steps of eight lanes instead of 50 of two; two of two segments gain nothing."""
+    """Two records of 50 segments take 14 steps of eight lanes instead of 50 of two; two of two
+    segments gain nothing.
+    """
     [cut_up] = chains_of(records(50, 50))
     assert max(cut_up.end - cut_up.first) == 14
     [whole] = chains_of(records(2, 2))
@@ -72,7 +98,9 @@ def test_records_of_a_velocity_stay_whole():
 
 @pytest.mark.parametrize("effects", [("disturbance_step",), ("input_delay", "disturbance_step")])
 def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch):
-    """Outputs and derivatives, with a clock that runs on; what is left of a hidden state decays in the segment before."""
+    """Outputs and derivatives, with a clock that runs on; what is left of a hidden state decays in
+    the segment before.
+    """
     segments = records(24, 9)
     values = VALUES | ({"input_delay.delay": 0.006} if "input_delay" in effects else {})
     starts = segments.initial + np.array([0.0, 0.5])
@@ -91,7 +119,9 @@ def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch
 
 
 def test_one_step_more_in_one_lane_does_not_touch_the_others():
-    """A segment that fails is marked; its chain goes on in the next one as if it had begun there."""
+    """A segment that fails is marked; its chain goes on in the next one as if it had begun
+    there.
+    """
     segments = records(24, 24)
     starts = segments.initial.copy()
     starts[10, 1] = np.nan
@@ -115,7 +145,9 @@ def test_records_of_one_segment_with_one_average_can_be_simulated():
     assert np.isfinite(seen).all()
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="names processors of this kind")
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="names processors of this kind"
+)
 def test_a_processor_with_narrow_vectors_gives_the_same_digits(monkeypatch):
     segments = records(24, 24)
     own = servo(segments).run(VALUES, segments.initial, jacobian=True)

@@ -1,4 +1,6 @@
-"""The verdict where no effect was named: what the records leave open depends on how varied the motion is."""
+"""The verdict where no effect was named: what the records leave open depends on how varied the
+motion is.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ UNIFORM = "one oscillation"
 QUIET, LEFT = Unexplained(False, None, 0.0), Unexplained(True, "theta", 0.5)
 
 
-def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> SearchRound:
+def round_of(
+    best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False
+) -> SearchRound:
     candidate = Candidate(best, None) if best else None
     outcome: Outcome = "withdrawn" if withdrawn else "none"
     return SearchRound((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, ties, outcome=outcome)
@@ -40,14 +44,18 @@ def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: boo
         (round_of("bias", ("gravity", "cogging")), "", LEFT, "tie"),
         (round_of("bias", ("gravity", "cogging")), UNIFORM, LEFT, "not_identifiable"),
         (round_of("bias", ("gravity", "cogging", "stribeck")), "", LEFT, "not_identifiable"),
-        (round_of("bias", ("asymmetric_coulomb", "gravity")), UNIFORM, LEFT, "tie"),  # of two classes
+        # of two classes
+        (round_of("bias", ("asymmetric_coulomb", "gravity")), UNIFORM, LEFT, "tie"),
         (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
-        (replace(round_of("bias"), outcome="limit"), "", QUIET, "not_identifiable"),  # it stands in for something else
+        # it stands in for something else
+        (replace(round_of("bias"), outcome="limit"), "", QUIET, "not_identifiable"),
         (round_of(), "", replace(LEFT, disturbance=0.49), "none"),
         (round_of(), "", replace(LEFT, disturbance=0.51), "not_identifiable"),
     ],
 )
-def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Unexplained, verdict: str) -> None:
+def test_verdict_without_a_name(
+    last: SearchRound, narrow: str, left: Unexplained, verdict: str
+) -> None:
     assert unnamed(last, narrow, left) == verdict
 
 
@@ -61,13 +69,23 @@ def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Unexplaine
         ({}, ()),
     ],
 )
-def test_records_that_determine_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
+def test_records_that_determine_no_parameter(
+    intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]
+) -> None:
     middle = {name: sum(ends) / 2 if ends else 0.1 for name, ends in intervals.items()}
-    assert unidentified_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute
+    assert (
+        unidentified_parameters(
+            {name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}
+        )
+        == mute
+    )
 
 
 def test_an_estimate_at_a_bound_is_unidentified() -> None:
-    plain = {"J": Estimate(0.05, "kg.m2", (-0.02, 0.12)), "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True)}
+    plain = {
+        "J": Estimate(0.05, "kg.m2", (-0.02, 0.12)),
+        "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True),
+    }
     assert unidentified_parameters(plain) == ("J", "Fc")
 
 
@@ -77,12 +95,15 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     second = replace(round_of("gravity"), candidates=tried, outcome="added")
     last = replace(round_of(), candidates=tried)
 
-    def names(rounds: list[SearchRound], undecided: tuple[str, ...], named: tuple[str, ...]) -> list[str]:
+    def names(
+        rounds: list[SearchRound], undecided: tuple[str, ...], named: tuple[str, ...]
+    ) -> list[str]:
         return [c.name for c in choices_of(rounds, undecided, named)]
 
     assert names([last], ("bias", "gravity"), ()) == ["bias", "gravity"]
     assert names([first, last], (), ("bias",)) == ["asymmetric_coulomb"]
-    assert names([first, second, last], (), ("bias", "gravity")) == []  # gravity was fitted beside the bias
+    # gravity was fitted beside the bias
+    assert names([first, second, last], (), ("bias", "gravity")) == []
     assert names([first, last], (), ("gravity",)) == []  # the bias was dropped later
     assert names([last], (), ()) == []
 
@@ -96,21 +117,40 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     found = detection_limits(tried, null, base)
     lines = undetected(found, model, ("bias",))
     assert list(lines) == ["gravity", "cogging"]
-    assert "it gains 50 nats, more than chance, but gains far less than another effect" in lines["gravity"]
+    assert (
+        "it gains 50 nats, more than chance, but gains far less than another effect"
+        in lines["gravity"]
+    )
     for worth, why in (
         (Assessment(20.0, 1.1, 30.0, 0.9), "but lowers the squared error too little"),
-        (Assessment(20.0, 2.0, 15.0, 0.9), "but does not make segments likelier that its parameters were not fitted to"),
+        (
+            Assessment(20.0, 2.0, 15.0, 0.9),
+            "but does not make segments likelier that its parameters were not fitted to",
+        ),
         (Assessment(20.0, 2.0, 30.0, 0.4), "but makes too many segments less likely"),
         (Assessment(20.0, 2.0, 30.0, 0.9), "but was rejected by the search"),
-        (Assessment(20.0, 2.0, 30.0, 0.9, (9.0, 2.0)), "but explains the residual less well than another effect"),
+        (
+            Assessment(20.0, 2.0, 30.0, 0.9, (9.0, 2.0)),
+            "but explains the residual less well than another effect",
+        ),
     ):
         [compared] = detection_limits([replace(tried[1], assessment=worth)], null, base)
         assert undetected([compared], model)["gravity"].endswith(why)
     assert undetected(found, model, ("bias", "gravity"), "bias") == {
-        "cogging": "before constant torque (bias) was added it gained 50 nats; beside that nothing shows it"
+        "cogging": (
+            "before constant torque (bias) was added it gained 50 nats; beside that nothing"
+            " shows it"
+        )
     }
-    drifting = undetected(detection_limits([*tried, Candidate("stribeck", fitted.fit)], null, base), model, drifting=True)
-    assert ["start at the same position" in drifting[name] for name in ("gravity", "cogging", "bias", "stribeck")] == [1, 1, 0, 0]
+    drifting = undetected(
+        detection_limits([*tried, Candidate("stribeck", fitted.fit)], null, base),
+        model,
+        drifting=True,
+    )
+    assert [
+        "start at the same position" in drifting[name]
+        for name in ("gravity", "cogging", "bias", "stribeck")
+    ] == [1, 1, 0, 0]
 
 
 def test_no_noise_floor_is_given_where_it_is_not_known():
@@ -118,5 +158,6 @@ def test_no_noise_floor_is_given_where_it_is_not_known():
     assert known_floor(known, True) == known_floor(known, False) == known
     all_noise = replace(known, noise_floor=1.0)
     assert known_floor(all_noise, False) == all_noise
-    assert known_floor(all_noise, True).noise_floor is None  # what is unexplained was taken for noise
+    # what is unexplained was taken for noise
+    assert known_floor(all_noise, True).noise_floor is None
     assert known_floor(Gap(2.1, 2.8, 2.8, "rad"), False).noise_floor is None  # 2.1 was reached

@@ -25,11 +25,19 @@ H, N = 1e-3, 800
 TIME = H * np.arange(N)
 INPUT = 3.5 * np.sin(8.0 * TIME) + np.sin(44.0 * TIME)
 VALUES = {
-    "cogging.amplitude": 0.01, "gravity.amplitude": 0.02, "bias.torque": 0.002, "hard_stop.upper": 0.3, "gain_asymmetry.share": 0.2,
-    "saturation.limit": 3.0, "disturbance_step.onset": 0.3005, "back_emf.constant": 0.1, "dead_zone.width": 0.5,
+    "cogging.amplitude": 0.01,
+    "gravity.amplitude": 0.02,
+    "bias.torque": 0.002,
+    "hard_stop.upper": 0.3,
+    "gain_asymmetry.share": 0.2,
+    "saturation.limit": 3.0,
+    "disturbance_step.onset": 0.3005,
+    "back_emf.constant": 0.1,
+    "dead_zone.width": 0.5,
     "quadratic_drag.coefficient": 3e-4,
-}  # fmt: skip
-EXACT = {"bias", "dead_zone", "gain_asymmetry", "input_delay", "saturation"}  # constant over a period, as the plant's input is
+}
+# constant over a period, as the plant's input is
+EXACT = {"bias", "dead_zone", "gain_asymmetry", "input_delay", "saturation"}
 POSSIBLE = sorted(name for name in effects() if refusal(name) is None)
 
 
@@ -38,7 +46,9 @@ def of(names):
 
 
 def built(names, folder, fmi=2):
-    return write_archive(Path(folder) / "correction.fmu", program_files(correction_program(names, of(names)), fmi))
+    return write_archive(
+        Path(folder) / "correction.fmu", program_files(correction_program(names, of(names)), fmi)
+    )
 
 
 class Part:
@@ -50,7 +60,12 @@ class Part:
         self.refs = {v.name: v.valueReference for v in description.modelVariables}
         model = description.coSimulation.modelIdentifier
         home = os.getcwd()
-        self.fmu = FMU2Slave(guid=description.guid, unzipDirectory=str(folder), modelIdentifier=model, instanceName=model)
+        self.fmu = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=model,
+            instanceName=model,
+        )
         self.fmu.instantiate()
         self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()
@@ -73,7 +88,9 @@ class Part:
 
 
 def corrected(names, folder, late=False):
-    """Co-simulate a plant without the effects and their correction; return theta and v, shape (N + 1, 2)."""
+    """Co-simulate a plant without the effects and their correction; return theta and v, shape (N +
+    1, 2).
+    """
     (folder / "plant").mkdir()
     (folder / "correction").mkdir()
     plant = Part(obtain("plant", law="coulomb"), folder / "plant")
@@ -129,7 +146,14 @@ def test_a_correction_a_sample_late_is_seen(tmp_path):
 
 
 def test_these_effects_can_act_through_the_input():
-    maps = {"back_emf", "dead_zone", "electrical_pole", "gain_asymmetry", "input_delay", "saturation"}
+    maps = {
+        "back_emf",
+        "dead_zone",
+        "electrical_pole",
+        "gain_asymmetry",
+        "input_delay",
+        "saturation",
+    }
     torques = {
         "asymmetric_viscous",
         "bias",
@@ -169,7 +193,10 @@ def test_a_correction_needs_an_effect_and_a_drive():
         correction_program(["dead_zone"], {"dead_zone.width": -1.0})
 
 
-@pytest.mark.parametrize(("names", "inputs"), [(("gravity", "input_delay"), ["u", "theta", "v"]), (("electrical_pole",), ["u"])])
+@pytest.mark.parametrize(
+    ("names", "inputs"),
+    [(("gravity", "input_delay"), ["u", "theta", "v"]), (("electrical_pole",), ["u"])],
+)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_it_is_a_valid_fmu_with_the_inputs_it_reads(names, inputs, fmi, tmp_path):
     path = built(names, tmp_path, fmi)

@@ -1,4 +1,6 @@
-"""The whole way from records to a name: what is hidden is named, nothing is not, and neither time nor order matters."""
+"""The whole way from records to a name: what is hidden is named, nothing is not, and neither time
+nor order matters.
+"""
 
 from __future__ import annotations
 
@@ -54,17 +56,28 @@ def test_what_is_hidden_is_named_with_its_numbers(cogging):
 
 
 def test_nothing_is_missing_where_nothing_is_hidden_and_nothing_disturbs():
-    """Records that show even the stiffness of the bristles that every model here has: stiffer ones are no effect."""
+    """Records that show even the stiffness of the bristles that every model here has: stiffer ones
+    are no effect.
+    """
     torque, records = np.repeat(np.random.default_rng(4).normal(0, 0.35, (2, 120)), 100, axis=1), []
     for name, each in zip("ab", torque, strict=True):
         u = np.convolve(each, np.ones(50) / 50, "same")
-        native = Native(servo_program("coulomb", encoder=False), {"J": 0.01, "b": 1.0, "a2": 0.02, "coulomb.Fc": 0.1, "u_max": 1e6})
+        native = Native(
+            servo_program("coulomb", encoder=False),
+            {"J": 0.01, "b": 1.0, "a2": 0.02, "coulomb.Fc": 0.1, "u_max": 1e6},
+        )
         theta = native.run(1e-3, {"u": u}, ["theta"])[0][:-1, 0]
         records.append((name, 1e-3 * np.arange(len(u)), u, np.floor(theta / 3.8e-4) * 3.8e-4))
     position = {"column": "y", "kind": "position", "unit": "rad"}
     input_ = {"column": "u", "kind": "torque", "unit": "N.m"}
     nominal = {"J": 0.011, "a2": 0.018, "Fc": 0.09}
-    tree = {"friction": "coulomb", "parameters": nominal, "time": {"column": "t", "unit": "s"}, "input": input_, "output": position}
+    tree = {
+        "friction": "coulomb",
+        "parameters": nominal,
+        "time": {"column": "t", "unit": "s"},
+        "input": input_,
+        "output": position,
+    }
     model = Model.from_dict(tree)
     found = diagnose(model, records_from_arrays(model, records))
     assert (found.verdict, found.effects, found.remains.flag) == ("none", (), False)
@@ -77,12 +90,16 @@ def test_the_gap_shrinks_on_segments_that_were_kept_from_the_search(cogging):
     assert gap.shrink > 0.99
     held = np.concatenate([trace.held_out for trace in cogging.traces])
     assert 0.1 < held.mean() < 0.4
-    errors = [np.concatenate([t.measured - getattr(t, when) for t in cogging.traces])[held] for when in ("before", "after")]
+    errors = [
+        np.concatenate([t.measured - getattr(t, when) for t in cogging.traces])[held]
+        for when in ("before", "after")
+    ]
     assert np.mean(errors[0] ** 2) > 20 * np.mean(errors[1] ** 2)
 
 
 def test_it_reports_the_view_of_the_gap(cogging):
-    strongest = next(view for view in cogging.where if view.view != OUTLIERS)  # which are off depends on where it went
+    # which are off depends on where it went
+    strongest = next(view for view in cogging.where if view.view != OUTLIERS)
     assert strongest.view == "theta"
     assert strongest.label == "7 in a turn"
     assert strongest.p <= 0.01
@@ -153,8 +170,12 @@ def test_the_command_line_writes_all_files_or_none(
     (given / "model.toml").write_text(model_text(made.model), encoding="utf-8")
     for record in made.records:
         np.savez(given / f"{record.name}.npz", t=record.time, u=record.u, theta=record.y)
-    data = [part for record in made.records for part in ("--data", str(given / f"{record.name}.npz"))]
-    monkeypatch.setattr(sys, "argv", ["bristle", "diagnose", str(given / "model.toml"), *data, "--out", str(out)])
+    data = [
+        part for record in made.records for part in ("--data", str(given / f"{record.name}.npz"))
+    ]
+    monkeypatch.setattr(
+        sys, "argv", ["bristle", "diagnose", str(given / "model.toml"), *data, "--out", str(out)]
+    )
     with pytest.raises(SystemExit) as done:
         cli.main()
     assert done.value.code == 0
@@ -163,7 +184,13 @@ def test_the_command_line_writes_all_files_or_none(
     assert said.out.splitlines()[-1] == f"named  {out / 'report.html'}"
     written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert {"diagnosis.json", "report.html", "augmented.toml", "augmented.fmu"} <= written
-    assert written <= {"diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu"}
+    assert written <= {
+        "diagnosis.json",
+        "report.html",
+        "augmented.toml",
+        "augmented.fmu",
+        "correction.fmu",
+    }
     assert set(ready) == written
 
     content = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))

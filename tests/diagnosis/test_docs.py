@@ -1,4 +1,6 @@
-"""docs/diagnosis.md: its model file can be read, and every key, file and verdict of an answer is in it."""
+"""docs/diagnosis.md: its model file can be read, and every key, file and verdict of an answer is in
+it.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +32,22 @@ def test_the_model_file_is_one_and_fits_the_record_beside_it():
     model = Model.from_dict(tomllib.loads(block("toml")))
     assert model.parameters == {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
     assert model.resolution == pytest.approx(math.radians(0.088))
-    assert block("").splitlines()[0].split(",") == [model.time.column, model.input.column, model.output.column]
+    assert block("").splitlines()[0].split(",") == [
+        model.time.column,
+        model.input.column,
+        model.output.column,
+    ]
 
 
 def test_what_the_program_calls_is_there():
-    calls = [node.func for node in ast.walk(ast.parse(block("python"))) if isinstance(node, ast.Call)]
-    names = {call.attr for call in calls if isinstance(call, ast.Attribute) and getattr(call.value, "id", "") == "bristle"}
+    calls = [
+        node.func for node in ast.walk(ast.parse(block("python"))) if isinstance(node, ast.Call)
+    ]
+    names = {
+        call.attr
+        for call in calls
+        if isinstance(call, ast.Attribute) and getattr(call.value, "id", "") == "bristle"
+    }
     assert "diagnose" in names
     assert all(callable(getattr(bristle, name)) for name in names)
 
@@ -43,7 +55,13 @@ def test_what_the_program_calls_is_there():
 def test_every_key_file_and_verdict_is_explained(answer):
     explained = set(re.findall(r"(?<!`)`([^`\n]+)`(?!`)", PAGE))
     content = answer("named").to_dict()
-    keys = {*content, *content["effects"][0], *content["gap"], *content["remains"], *content["where"][0]}
+    keys = {
+        *content,
+        *content["effects"][0],
+        *content["gap"],
+        *content["remains"],
+        *content["where"][0],
+    }
     keys |= set(next(iter(content["effects"][0]["parameters"].values())))
     assert keys <= explained
     assert {*export.WRITTEN_FILES, *VERDICTS, "chosen", "--choose NAME"} <= explained

@@ -1,4 +1,6 @@
-"""Excitation: the numbers are those of a known motion, and a caveat appears when, and only when, it applies."""
+"""Excitation: the numbers are those of a known motion, and a caveat appears when, and only when, it
+applies.
+"""
 
 import json
 from dataclasses import replace
@@ -33,7 +35,10 @@ def test_numbers_of_a_sine(model):
     top = 2 * np.pi * 0.5
     assert found["speed_range"]["highest"] == pytest.approx(top, rel=0.01)
     assert found["speed_range"]["lowest"] == pytest.approx(-top, rel=0.01)
-    assert found["speed_rms"] == {"value": pytest.approx(top / np.sqrt(2), rel=0.01), "unit": "rad/s"}
+    assert found["speed_rms"] == {
+        "value": pytest.approx(top / np.sqrt(2), rel=0.01),
+        "unit": "rad/s",
+    }
     assert found["range_travelled"] == {"value": pytest.approx(2.0, rel=0.01), "unit": "rad"}
     assert found["path_travelled"]["value"] == pytest.approx(80.0, rel=0.01)
     assert found["turns_travelled"] == pytest.approx(1 / np.pi, rel=0.01)
@@ -49,12 +54,21 @@ def test_numbers_of_a_sine(model):
 def test_an_input_that_changes_between_the_samples_is_a_field(model):
     [record] = records_from_arrays(model, [("run", *swing())])
     assert excitation(model, [record])["input_between_samples"] == "held"
-    assert excitation(model, [record, replace(record, ahead=0.25)])["input_between_samples"] == "changing"
+    assert (
+        excitation(model, [record, replace(record, ahead=0.25)])["input_between_samples"]
+        == "changing"
+    )
 
 
 def test_caveats_of_a_sine(model):
     found = described(model, *swing())
-    for words in ("hardly ever at rest", "less than half a turn", "one dominant frequency", "below 5 Hz", "input bandwidth"):
+    for words in (
+        "hardly ever at rest",
+        "less than half a turn",
+        "one dominant frequency",
+        "below 5 Hz",
+        "input bandwidth",
+    ):
         assert has(found, words), words
     for words in ("one direction", "one sign", "reversals", "speed hardly varies", "slow drift"):
         assert not has(found, words), words
@@ -75,11 +89,23 @@ def test_a_rich_record_has_few_caveats(model):
     ("y", "u", "words"),
     [
         (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "one direction"),
-        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "speed hardly varies"),
+        (
+            lambda t: 3 * t + 0.1 * np.sin(t),
+            lambda t: 1 + 0.5 * np.sin(20 * t),
+            "speed hardly varies",
+        ),
         (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "only 0 reversals"),
-        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "input of one sign"),
+        (
+            lambda t: 3 * t + 0.1 * np.sin(t),
+            lambda t: 1 + 0.5 * np.sin(20 * t),
+            "input of one sign",
+        ),
         (lambda t: np.where(t < 30, 0.0, np.sin(t - 30)), lambda t: np.sin(t), "at rest for"),
-        (lambda t: 0.5 * np.abs((t % 2) - 1), lambda t: np.sign((t % 2) - 1) + 0.01 * np.sin(t), "hardly ever slow"),
+        (
+            lambda t: 0.5 * np.abs((t % 2) - 1),
+            lambda t: np.sign((t % 2) - 1) + 0.01 * np.sin(t),
+            "hardly ever slow",
+        ),
     ],
 )
 def test_each_caveat_when_it_applies(y, u, words, model):
@@ -96,7 +122,9 @@ def test_counts_are_no_motion(model):
     """A resting encoder that flickers between two counts does not reverse."""
     t, u, y = swing()
     step = 2 * np.pi / 4096
-    rest = np.where(t > 20, step * (np.random.default_rng(1).random(len(t)) < 0.5), np.floor(y / step) * step)
+    rest = np.where(
+        t > 20, step * (np.random.default_rng(1).random(len(t)) < 0.5), np.floor(y / step) * step
+    )
     found = described(model, t, u, rest)
     assert found["reversals"] == pytest.approx(20, abs=1)
     assert found["rest_share"] == pytest.approx(0.5, abs=0.06)
@@ -108,7 +136,11 @@ def test_a_drive_has_a_torque_range_and_an_axis_no_turns(tree):
     tree["input"] = {"column": "u", "kind": "voltage", "unit": "V"}
     tree["output"]["unit"] = "m"
     found = described(Model.from_dict(tree), *swing())
-    assert found["torque_range"] == {"lowest": pytest.approx(-35.0), "highest": pytest.approx(35.0), "unit": "N"}
+    assert found["torque_range"] == {
+        "lowest": pytest.approx(-35.0),
+        "highest": pytest.approx(35.0),
+        "unit": "N",
+    }
     assert found["range_travelled"]["unit"] == "m"
     assert "turns_travelled" not in found
     assert not has(found, "turn")
@@ -121,7 +153,9 @@ def test_a_velocity_gives_the_same(tree, model):
     two = described(Model.from_dict(tree), t, u, np.gradient(y, H))
     for key in ("reversals", "forward_share", "rest_share"):
         assert two[key] == pytest.approx(one[key], abs=0.01)
-    assert two["range_travelled"]["value"] == pytest.approx(one["range_travelled"]["value"], rel=1e-3)
+    assert two["range_travelled"]["value"] == pytest.approx(
+        one["range_travelled"]["value"], rel=1e-3
+    )
 
 
 def test_noise_does_not_reverse(tree):
@@ -132,7 +166,9 @@ def test_noise_does_not_reverse(tree):
 
 
 def test_little_was_recorded(model):
-    """Too short in all, or too seldom for an input that moves between the samples; three seconds twice are enough."""
+    """Too short in all, or too seldom for an input that moves between the samples; three seconds
+    twice are enough.
+    """
     rng = np.random.default_rng(2)
     t = np.arange(3000) * H
     u, y = np.repeat(rng.standard_normal(300), 10), 3 * np.sin(2 * t) + np.sin(5.3 * t)
@@ -140,14 +176,20 @@ def test_little_was_recorded(model):
     twice = records_from_arrays(model, [("a", t, u, y), ("b", t, -u, y)])
     assert excitation(model, twice)["narrow"] == ""
     t = np.arange(600) * 0.05
-    slow = records_from_arrays(model, [("a", t, rng.standard_normal(600), 3 * np.sin(2 * t) + np.sin(5.3 * t))])
+    slow = records_from_arrays(
+        model, [("a", t, rng.standard_normal(600), 3 * np.sin(2 * t) + np.sin(5.3 * t))]
+    )
     assert excitation(model, slow)["narrow"] == ""
     moving = [replace(record, ahead=0.4) for record in slow]
-    assert excitation(model, moving)["narrow"].startswith("the input changes between samples that are 50 ms apart")
+    assert excitation(model, moving)["narrow"].startswith(
+        "the input changes between samples that are 50 ms apart"
+    )
 
 
 def test_a_small_range_is_narrow_only_where_nothing_accelerates(model):
-    """The same quarter of a radian: slowly there is friction alone, quickly the inertia takes its share too."""
+    """The same quarter of a radian: slowly there is friction alone, quickly the inertia takes its
+    share too.
+    """
     t = np.arange(20000) * H
     for pace, narrow in ((0.2, True), (3.0, False)):
         y = 0.15 * np.sin(2 * np.pi * pace * t) + 0.1 * np.sin(2 * np.pi * 0.61 * pace * t + 1)
@@ -160,25 +202,45 @@ def test_a_small_range_is_narrow_only_where_nothing_accelerates(model):
 
 def test_records_beside_each_other_have_caveats(tree, model):
     t, u, y = swing()
-    overlap, begin = "times of the records overlap", "position 0 is assumed at the beginning of each record"
+    overlap, begin = (
+        "times of the records overlap",
+        "position 0 is assumed at the beginning of each record",
+    )
     for second, reported in ((t + 41.0, False), (t, True), (t + 20.0, True)):
-        found = excitation(model, records_from_arrays(model, [("a", t, u, y), ("b", second, u, -y)]))
+        found = excitation(
+            model, records_from_arrays(model, [("a", t, u, y), ("b", second, u, -y)])
+        )
         assert has(found, overlap) is reported
         assert not has(found, begin)
     tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
     speeds = Model.from_dict(tree)
-    assert has(excitation(speeds, records_from_arrays(speeds, [("a", t, u, y), ("b", t + 41, u, -y)])), begin)
+    assert has(
+        excitation(speeds, records_from_arrays(speeds, [("a", t, u, y), ("b", t + 41, u, -y)])),
+        begin,
+    )
     assert not has(described(speeds, t, u, y), begin)
 
 
 def test_what_the_records_lack_excludes_the_effects_that_need_it(model):
-    """A motion to and fro excludes nothing; one that never comes back all that differs between the directions, and all memory."""
+    """A motion to and fro excludes nothing; one that never comes back all that differs between the
+    directions, and all memory.
+    """
     t, u, y = swing()
     both = excluded_effects(model, described(model, t, u, y)["lacks"])
     one = excluded_effects(model, described(model, t, u, 3 * t + 0.2 * y)["lacks"])
     assert both == {}
-    assert set(one) == {name for name, effect in effects().items() if {BOTH_DIRECTIONS, REVERSALS} & set(effect.needs)}
-    assert {"asymmetric_coulomb", "gain_asymmetry", "load_friction", "backlash", "encoder_play"} <= set(one)
+    assert set(one) == {
+        name
+        for name, effect in effects().items()
+        if {BOTH_DIRECTIONS, REVERSALS} & set(effect.needs)
+    }
+    assert {
+        "asymmetric_coulomb",
+        "gain_asymmetry",
+        "load_friction",
+        "backlash",
+        "encoder_play",
+    } <= set(one)
     assert one["backlash"] == "the records lack reversals"
     assert described(model, t, np.abs(u), y)["lacks"] == [BOTH_SIGNS]
     assert set(excluded_effects(model, [BOTH_SIGNS])) == {"gain_asymmetry"}
@@ -186,4 +248,6 @@ def test_what_the_records_lack_excludes_the_effects_that_need_it(model):
 
 def test_an_effect_that_only_shows_in_a_position_is_none_for_a_velocity(tree):
     tree["output"] = {"column": "v", "kind": "velocity", "unit": "rad/s"}
-    assert excluded_effects(Model.from_dict(tree)) == {"encoder_play": "needs a measured position: the output is a velocity"}
+    assert excluded_effects(Model.from_dict(tree)) == {
+        "encoder_play": "needs a measured position: the output is a velocity"
+    }

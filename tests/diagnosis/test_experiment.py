@@ -1,4 +1,6 @@
-"""The input that tells rivals apart: within the limits of the records, and as far as it is expected to."""
+"""The input that tells rivals apart: within the limits of the records, and as far as it is expected
+to.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,11 @@ def rival(case: Any, name: str, **own: float) -> Rival:
     base = case.base
     values = base.fit.values | {f"{name}.{key}": x for key, x in own.items()}
     free = (*base.servo.free, *free_parameters(name, own, {}))
-    point = replace(base.fit.at(values=values).fixed(), simulator=base.servo.simulator(case.dataset.segments, (name,)), free=free)
+    point = replace(
+        base.fit.at(values=values).fixed(),
+        simulator=base.servo.simulator(case.dataset.segments, (name,)),
+        free=free,
+    )
     return Rival(name, evaluate(base.problem, point))
 
 
@@ -65,7 +71,11 @@ def test_inputs_are_the_same_each_time_and_begin_each_step_where_the_last_one_en
         return at + 0.3  # a servo that drifts: steps must lead back
 
     first, again = (inputs(AXIS, LIMITS, [sines(0.2)], (SAMPLES, H), follow) for _ in range(2))
-    assert all(np.array_equal(a, b) for x, y in zip(first, again, strict=True) for a, b in zip(x.levels, y.levels, strict=True))
+    assert all(
+        np.array_equal(a, b)
+        for x, y in zip(first, again, strict=True)
+        for a, b in zip(x.levels, y.levels, strict=True)
+    )
     assert all(len(u) == SAMPLES for each in first for u in each.levels)
     assert 0.3 in asked
 
@@ -76,7 +86,10 @@ def test_a_varied_input_shows_many_tones_where_the_recorded_one_has_one() -> Non
     other = varied(np.random.default_rng(0), u, len(u), H)
     assert len(other) == len(u)
     assert np.abs(other).max() <= np.abs(u).max()
-    shares = [np.sort(power)[::-1][:8].sum() / power.sum() for power in (np.abs(np.fft.rfft(each)) ** 2 for each in (u, other))]
+    shares = [
+        np.sort(power)[::-1][:8].sum() / power.sum()
+        for power in (np.abs(np.fft.rfft(each)) ** 2 for each in (u, other))
+    ]
     assert shares[0] > 0.99
     assert shares[1] < 0.5
 
@@ -89,8 +102,13 @@ def test_limits_are_those_of_input_rms_and_position() -> None:
     assert not LIMITS.allow_motion(np.array([-1.7, 1.9]), 0.05)
 
 
-def test_a_model_does_not_lead_itself_and_a_lag_shows_in_fast_inputs(case: Callable[..., Any], setup: Setup) -> None:
-    bias, late = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+def test_a_model_does_not_lead_itself_and_a_lag_shows_in_fast_inputs(
+    case: Callable[..., Any], setup: Setup
+) -> None:
+    bias, late = (
+        rival(case("bias"), "bias", torque=0.05),
+        rival(case("bias"), "input_delay", delay=0.01),
+    )
     leads = {}
     for size in (0.0, 0.3):
         u = sines(size)
@@ -101,8 +119,13 @@ def test_a_model_does_not_lead_itself_and_a_lag_shows_in_fast_inputs(case: Calla
 
 
 def test_the_lead_is_about_what_a_record_then_gives(case: Callable[..., Any], setup: Setup) -> None:
-    """Against the likelihoods of both models, the wrong one refitted to nothing, on a simulated record with its disturbance."""
-    truth, other = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+    """Against the likelihoods of both models, the wrong one refitted to nothing, on a simulated
+    record with its disturbance.
+    """
+    truth, other = (
+        rival(case("bias"), "bias", torque=0.05),
+        rival(case("bias"), "input_delay", delay=0.01),
+    )
     u, fit = sines(0.25), truth.fit
     y = truth.output(disturbed(u, fit.noise, 1.0, H, np.random.default_rng(3)), setup)
     clean = truth.output(u, setup)
@@ -114,29 +137,55 @@ def test_the_lead_is_about_what_a_record_then_gives(case: Callable[..., Any], se
         piece = cut("new", setup.time, u, y, g, setup.resolution)
         segments = type(case("bias").dataset.segments)(g.h, g.width, g.bins, g.velocity, (piece,))
         problem = Problem.of(segments, each.fit.noise, segments.counted)
-        point = replace(each.fit.at(initial=piece.initial), simulator=each.fit.simulator.over(segments))
+        point = replace(
+            each.fit.at(initial=piece.initial), simulator=each.fit.simulator.over(segments)
+        )
         return float(evaluate(problem, point).score.sum())
 
-    stiff = replace(other.fit, information=1e12 * np.eye(len(other.fit.free)))  # parameters that may not move
-    expected, found = lead(clean, u, Rival(other.name, stiff), setup), likelihood(truth) - likelihood(other)
+    # parameters that may not move
+    stiff = replace(other.fit, information=1e12 * np.eye(len(other.fit.free)))
+    expected, found = (
+        lead(clean, u, Rival(other.name, stiff), setup),
+        likelihood(truth) - likelihood(other),
+    )
     assert 0.5 * expected < found < 2.0 * expected
 
 
-def test_models_that_are_the_same_are_told_apart_by_no_input(case: Callable[..., Any], setup: Setup) -> None:
-    """A friction that differs by direction is Coulomb friction and a constant torque, at rest too; dead time is not."""
+def test_models_that_are_the_same_are_told_apart_by_no_input(
+    case: Callable[..., Any], setup: Setup
+) -> None:
+    """A friction that differs by direction is Coulomb friction and a constant torque, at rest too;
+    dead time is not.
+    """
     friction = case("bias").base.fit.values["coulomb.Fc"]
     bias = rival(case("bias"), "bias", torque=-0.2 * friction)
-    same, late = rival(case("bias"), "asymmetric_coulomb", share=0.2), rival(case("bias"), "input_delay", delay=0.01)
-    u, wide = np.repeat(np.random.default_rng(1).uniform(-0.4, 0.4, SAMPLES // 400), 400), Limits((-9.0, 9.0), (-1e3, 1e3), 9.0)
+    same, late = (
+        rival(case("bias"), "asymmetric_coulomb", share=0.2),
+        rival(case("bias"), "input_delay", delay=0.01),
+    )
+    u, wide = (
+        np.repeat(np.random.default_rng(1).uniform(-0.4, 0.4, SAMPLES // 400), 400),
+        Limits((-9.0, 9.0), (-1e3, 1e3), 9.0),
+    )
     y = bias.output(u, setup)
     assert y is not None
-    assert lead(y, u, same, setup) > 20.0  # where it rests, segments do not show how the bristles begin
-    gains = [trial.gain for other in (same, late) if (trial := _Design((bias, other), wide, setup).tried(Input("steps", (u,))))]
+    # where it rests, segments do not show how the bristles begin
+    assert lead(y, u, same, setup) > 20.0
+    gains = [
+        trial.gain
+        for other in (same, late)
+        if (trial := _Design((bias, other), wide, setup).tried(Input("steps", (u,))))
+    ]
     assert gains[0] < 1.0 < 30.0 < gains[1]
 
 
-def test_what_leaves_the_limits_with_a_rival_is_not_taken(case: Callable[..., Any], setup: Setup) -> None:
-    rivals = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+def test_what_leaves_the_limits_with_a_rival_is_not_taken(
+    case: Callable[..., Any], setup: Setup
+) -> None:
+    rivals = (
+        rival(case("bias"), "bias", torque=0.05),
+        rival(case("bias"), "input_delay", delay=0.01),
+    )
     u = sines(0.2)
     y = rivals[0].output(u, setup)
     assert y is not None
@@ -148,53 +197,87 @@ def test_what_leaves_the_limits_with_a_rival_is_not_taken(case: Callable[..., An
     assert replace(wide, limits=replace(wide.limits, u=(-0.1, 0.5))).outputs(u) is None
 
 
-def test_pairs_of_one_class_count_only_among_themselves(case: Callable[..., Any], setup: Setup) -> None:
-    bias, late, pole = (Rival(name, case("bias").base.fit) for name in ("bias", "input_delay", "electrical_pole"))
+def test_pairs_of_one_class_count_only_among_themselves(
+    case: Callable[..., Any], setup: Setup
+) -> None:
+    bias, late, pole = (
+        Rival(name, case("bias").base.fit) for name in ("bias", "input_delay", "electrical_pole")
+    )
     assert {(a.name, b.name) for a, b in _Design((late, pole), LIMITS, setup).pairs} == {
-        ("input_delay", "electrical_pole"), ("electrical_pole", "input_delay"),
-    }  # fmt: skip
+        ("input_delay", "electrical_pole"),
+        ("electrical_pole", "input_delay"),
+    }
     pairs = [{a.name, b.name} for a, b in _Design((bias, late, pole), LIMITS, setup).pairs]
     assert {"input_delay", "electrical_pole"} not in pairs
     assert len(pairs) == 4
 
 
-# -- what is written and said ----------------------------------------------------------------------------------------------
+# -- what is written and said ----------------------------------------------------------------------
 def made(**other: Any) -> DesignedInput:
     """Return a designed input."""
     u = 0.1 * np.sin(np.arange(50))
     found = DesignedInput(
-        ("bias", "gravity"), 42.0, 6.0, "steps", "N.m", -0.1, 0.1, 0.07, 0.5, (0.1, 0.9), ("t [s]", "u [N.m]"), H * np.arange(50), u
+        ("bias", "gravity"),
+        42.0,
+        6.0,
+        "steps",
+        "N.m",
+        -0.1,
+        0.1,
+        0.07,
+        0.5,
+        (0.1, 0.9),
+        ("t [s]", "u [N.m]"),
+        H * np.arange(50),
+        u,
     )
     return replace(found, **other)
 
 
-def test_the_file_holds_time_and_input_and_goes_with_the_next_answer(answer: Callable[[str], Diagnosis], tmp_path: Path) -> None:
+def test_the_file_holds_time_and_input_and_goes_with_the_next_answer(
+    answer: Callable[[str], Diagnosis], tmp_path: Path
+) -> None:
     found = replace(answer("tie"), designed=made())
     assert tmp_path / "experiment.csv" in write(found, tmp_path)
     table = np.loadtxt(tmp_path / "experiment.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(table, np.column_stack([found.designed.time, found.designed.u]), atol=1e-9)
+    np.testing.assert_allclose(
+        table, np.column_stack([found.designed.time, found.designed.u]), atol=1e-9
+    )
     assert found.to_dict()["experiment_input"]["file"] == "experiment.csv"
     write(answer("tie"), tmp_path)
     assert not (tmp_path / "experiment.csv").exists()
 
 
 @pytest.mark.parametrize(("time", "given"), [("t", "u"), ("t [s]", "u [Nm]"), ("t (ms)", "u[mV]")])
-def test_the_columns_of_the_file_have_one_unit_each(answer: Callable[[str], Diagnosis], time: str, given: str) -> None:
+def test_the_columns_of_the_file_have_one_unit_each(
+    answer: Callable[[str], Diagnosis], time: str, given: str
+) -> None:
     model = answer("tie").model
-    columns = {"time": model.time.model_copy(update={"column": time}), "input": model.input.model_copy(update={"column": given})}
+    columns = {
+        "time": model.time.model_copy(update={"column": time}),
+        "input": model.input.model_copy(update={"column": given}),
+    }
     named = replace(model, **columns)
     assert _headings(named) == ("t [s]", "u [N.m]")
 
 
-def test_the_sentence_says_file_rivals_gain_and_open_loop_or_that_there_is_none(answer: Callable[[str], Diagnosis]) -> None:
+def test_the_sentence_says_file_rivals_gain_and_open_loop_or_that_there_is_none(
+    answer: Callable[[str], Diagnosis],
+) -> None:
     model = answer("tie").model
     text = designed_line(made(), model)
-    assert all(word in text for word in ("experiment.csv", "open loop", "bias", "gravity", "42 nats", "0.07 N.m rms"))
+    assert all(
+        word in text
+        for word in ("experiment.csv", "open loop", "bias", "gravity", "42 nats", "0.07 N.m rms")
+    )
     none = made(time=np.empty(0), u=np.empty(0), gain=2.5)
     assert "No input was found" in designed_line(none, model)
     assert replace(answer("tie"), designed=none).to_dict()["experiment_input"] == {
-        "file": None, "rivals": ["bias", "gravity"], "gain": 2.5, "level": 6.0,
-    }  # fmt: skip
+        "file": None,
+        "rivals": ["bias", "gravity"],
+        "gain": 2.5,
+        "level": 6.0,
+    }
     assert designed_line(None, model) == ""
     alone = designed_line(replace(made(), rivals=("", "bias", "gravity")), model)
     assert "and no further effect by 42 nats" in alone

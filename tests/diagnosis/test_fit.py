@@ -1,4 +1,6 @@
-"""Refit: it climbs to the best there is, minds its bounds, shrugs off a bad segment; effects start near the truth."""
+"""Refit: it climbs to the best there is, minds its bounds, shrugs off a bad segment; effects start
+near the truth.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,22 @@ import pytest
 
 from bristle.diagnosis.estimation.fitted_model import relative_error, under_own_noise
 from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
-from bristle.diagnosis.estimation.likelihood import Elimination, Point, evaluate, initial_state_price, rescored, squares
-from bristle.diagnosis.estimation.optimiser import pressed_bounds, refit, refit_initial_states, refit_load, refit_nonsmooth, resume
+from bristle.diagnosis.estimation.likelihood import (
+    Elimination,
+    Point,
+    evaluate,
+    initial_state_price,
+    rescored,
+    squares,
+)
+from bristle.diagnosis.estimation.optimiser import (
+    pressed_bounds,
+    refit,
+    refit_initial_states,
+    refit_load,
+    refit_nonsmooth,
+    resume,
+)
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
@@ -34,7 +50,9 @@ HIDDEN = {  # effect: (parameters it was simulated with, largest error relative 
 
 
 def joined(case, name):
-    """An effect refitted from its own starts, on top of a model that lacks it, under the noise it leaves."""
+    """An effect refitted from its own starts, on top of a model that lacks it, under the noise it
+    leaves.
+    """
     [found] = evaluate_candidates(SearchContext(case.dataset, case.base), [name]).candidates
     return found
 
@@ -42,7 +60,9 @@ def joined(case, name):
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(HIDDEN))
 def test_starts_from_data_lead_to_the_truth(case, name):
-    """Of the effect and of the model, from nominal values that are 20 % off, on records of a simulation ten times finer."""
+    """Of the effect and of the model, from nominal values that are 20 % off, on records of a
+    simulation ten times finer.
+    """
     found = joined(case(name), name)
     assert found.fit is not None
     assert found.fit.total > case(name).base.fit.total + 100
@@ -54,7 +74,9 @@ def test_starts_from_data_lead_to_the_truth(case, name):
 
 
 def test_a_step_with_a_large_predicted_gain_is_shortened_until_it_achieves_some(case):
-    """From the starts of this one every full step fails; ended there, the share of the load would stay where it began."""
+    """From the starts of this one every full step fails; ended there, the share of the load would
+    stay where it began.
+    """
     given = {"share": 0.4, "stiffness": 60.0, "damping": 0.02}
     found = joined(case("compliance", **given), "compliance").fit
     for key, value in given.items():
@@ -80,7 +102,11 @@ def test_the_likelihood_is_highest_where_the_refit_ends(case):
     for f in best.free:
         size = 1 / np.sqrt(best.information[best.free.index(f), best.free.index(f)])
         for sign in (1, -1):
-            moved = best.values[f.name] * np.exp(sign * size) if f.factor else best.values[f.name] + sign * size
+            moved = (
+                best.values[f.name] * np.exp(sign * size)
+                if f.factor
+                else best.values[f.name] + sign * size
+            )
             away = evaluate(problem, best.at({**best.values, f.name: f.clip(moved)}))
             slack.append(best.total - away.total)
     assert min(slack) > -0.1
@@ -100,20 +126,27 @@ def test_no_step_makes_it_worse(case):
     best, gains = plain.base.fit, []
     for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
         away = {**best.values, "J": inertia, "coulomb.Fc": level}
-        totals = [refit(plain.base.problem, best.at(away, plain.dataset.segments.initial), count).total for count in range(5)]
+        totals = [
+            refit(plain.base.problem, best.at(away, plain.dataset.segments.initial), count).total
+            for count in range(5)
+        ]
         assert totals == sorted(totals)
         gains.append(totals[-1] - totals[0])
     assert max(gains) > 100
 
 
 def test_start_states_are_eliminated(case):
-    """Where they stand does not matter to the likelihood, to first order: it is that of the best ones."""
+    """Where they stand does not matter to the likelihood, to first order: it is that of the best
+    ones.
+    """
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
     rng = np.random.default_rng(4)
     moved = best.initial + 0.04 * problem.initial_sd * rng.standard_normal(best.initial.shape)
     away = evaluate(problem, best.at(initial=moved))
-    bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.counted])
+    bare = -0.5 * np.sum(
+        (np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.counted]
+    )
     assert bare < -50
     assert abs(away.total - best.total) < 0.02 * abs(bare)
 
@@ -136,9 +169,15 @@ def test_bounds_hold_and_the_others_go_on(case):
     low = replace(best.free[0], high=0.008, nominal=None)
     assert low.name == "J"
     start = {**best.values, "J": 0.0075, "a2": 0.05}
-    found = refit(plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.initial), 40)
+    found = refit(
+        plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.initial), 40
+    )
     assert found.values["J"] == 0.008
-    held = refit(plain.base.problem, Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.initial), 40)
+    held = refit(
+        plain.base.problem,
+        Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.initial),
+        40,
+    )
     assert found.total == pytest.approx(held.total, abs=0.2)
     assert low.at_bound(found.values["J"])
     assert not found.free[1].at_bound(found.values["a2"])
@@ -149,10 +188,14 @@ def test_bounds_hold_and_the_others_go_on(case):
 @pytest.mark.parametrize(
     ("free", "value", "stuck"),
     [
-        (Free("x", 0.0, 1.0), 0.0, True), (Free("x", 0.0, 1.0), 1.0, True), (Free("x", 0.0, 1.0), 1e-3, False),
-        (Free("x", 0.0, 1e6), 1e-3, False), (Free("x", -1.0, 1.0), -1.0, True), (Free("x", 2.0, 8.0, True), 2.0, True),
+        (Free("x", 0.0, 1.0), 0.0, True),
+        (Free("x", 0.0, 1.0), 1.0, True),
+        (Free("x", 0.0, 1.0), 1e-3, False),
+        (Free("x", 0.0, 1e6), 1e-3, False),
+        (Free("x", -1.0, 1.0), -1.0, True),
+        (Free("x", 2.0, 8.0, True), 2.0, True),
     ],
-)  # fmt: skip
+)
 def test_a_parameter_at_its_bound_is_known_as_stuck(free, value, stuck):
     assert free.at_bound(value) is stuck
     assert free.clip(value) == value
@@ -160,11 +203,16 @@ def test_a_parameter_at_its_bound_is_known_as_stuck(free, value, stuck):
 
 
 def test_what_is_known_beforehand_pulls(case):
-    """A tight doubt holds a parameter at its nominal value, whatever the records say; none lets it go."""
+    """A tight doubt holds a parameter at its nominal value, whatever the records say; none lets it
+    go.
+    """
     plain = case(None)
     best = plain.base.fit
     tight = replace(best.free[0], nominal=0.012, prior_sd=1e-6)
-    found = refit(plain.base.problem, Point(best.simulator, (tight, *best.free[1:]), best.values, best.initial))
+    found = refit(
+        plain.base.problem,
+        Point(best.simulator, (tight, *best.free[1:]), best.values, best.initial),
+    )
     assert found.values["J"] == pytest.approx(0.012, abs=1e-5)
     assert found.prior < -0.5 or found.total < best.total
 
@@ -174,21 +222,30 @@ def test_segments_that_are_not_judged_do_not_count(case):
     problem, best = plain.base.problem, plain.base.fit
     mask = problem.counted & (plain.dataset.segments.block % 2 == 0)
     seen = np.where(mask[:, None], problem.measured, 7.0)
-    one, two = (evaluate(replace(problem, counted=mask, measured=s), best) for s in (problem.measured, seen))
+    one, two = (
+        evaluate(replace(problem, counted=mask, measured=s), best) for s in (problem.measured, seen)
+    )
     assert one.total == two.total
     np.testing.assert_array_equal(one.information, two.information)
     assert np.all(one.weight[~mask] == 0)
 
 
 def test_a_torque_in_the_residual_is_read_through_the_lens(case):
-    """The linear answer comes near the truth already; what the model's own parameters can do counts for nothing."""
+    """The linear answer comes near the truth already; what the model's own parameters can do counts
+    for nothing.
+    """
     hidden = case("cogging")
     response, m = ResidualResponse(hidden.base, hidden.dataset), hidden.dataset.motion
-    coefficients, gain = response.regress(np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)]))
-    assert coefficients[0] == pytest.approx(0.08, rel=0.25)  # the model adds this torque to the motor's
+    coefficients, gain = response.regress(
+        np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)])
+    )
+    # the model adds this torque to the motor's
+    assert coefficients[0] == pytest.approx(0.08, rel=0.25)
     assert abs(coefficients[1]) < 0.02
     assert gain > 50
-    assert gain > 5 * response.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
+    assert (
+        gain > 5 * response.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
+    )
     own = response.free_of_model(response.model)
     assert np.max(np.abs(own)) < 1e-6 * np.max(np.abs(response.model))
 
@@ -202,13 +259,17 @@ def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     again = refit_initial_states(problem, replace(best, initial=off))
     assert again.values == best.values
     held = plain.dataset.held_out
-    assert again.score_at_initial[held].sum() == pytest.approx(best.score_at_initial[held].sum(), abs=1.0)
+    assert again.score_at_initial[held].sum() == pytest.approx(
+        best.score_at_initial[held].sum(), abs=1.0
+    )
     still = evaluate(problem, Point(best.simulator, (), best.values, off))
     assert still.score_at_initial[held].sum() < best.score_at_initial[held].sum() - 100
 
 
 def test_what_switches_is_found_from_a_value_that_is_off(case):
-    """Steps along derivatives end at a small maximum near where they begin; trials around it go on."""
+    """Steps along derivatives end at a small maximum near where they begin; trials around it go
+    on.
+    """
     hidden = case("dead_zone")
     free = (*hidden.base.fit.free, *free_parameters("dead_zone", {"width": 0.06}, {}))
     simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
@@ -223,24 +284,39 @@ def test_what_switches_is_found_from_a_value_that_is_off(case):
 
 @pytest.fixture(scope="module")
 def free_play(case):
-    """A servo with backlash from a play and a stiffness that are far off, and what the records show of it."""
+    """A servo with backlash from a play and a stiffness that are far off, and what the records show
+    of it.
+    """
     backlash = case("backlash")
-    free = (*backlash.base.fit.free, *free_parameters("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
+    free = (
+        *backlash.base.fit.free,
+        *free_parameters("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}),
+    )
     simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
-    off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
+    off = {
+        "backlash.share": 0.35,
+        "backlash.play": 0.04,
+        "backlash.stiffness": 25.0,
+        "backlash.dissipation": 1.0,
+    }
     values = {**backlash.base.fit.values, **off}
-    return backlash, evaluate(backlash.base.problem, Point(simulator, free, values, backlash.base.fit.initial))
+    return backlash, evaluate(
+        backlash.base.problem, Point(simulator, free, values, backlash.base.fit.initial)
+    )
 
 
 def test_a_load_with_free_play_is_found_from_a_wrong_play_and_stiffness(free_play):
-    """Steps along derivatives leave the load at its side of the play; chosen again in each segment, it leads to the true values."""
+    """Steps along derivatives leave the load at its side of the play; chosen again in each segment,
+    it leads to the true values.
+    """
     backlash, first = free_play
     steps = resume(under_own_noise(backlash.dataset, first), first)
     found = refit_load(steps, partial(under_own_noise, backlash.dataset))
     assert found.total > rescored(under_own_noise(backlash.dataset, found), steps).total + 100
     assert found.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
     plain = backlash.base.fit
-    assert refit_load(plain, partial(under_own_noise, backlash.dataset)) is plain  # nothing is loose there
+    # nothing is loose there
+    assert refit_load(plain, partial(under_own_noise, backlash.dataset)) is plain
 
 
 def test_a_load_at_the_wrong_end_of_its_play_is_placed_at_the_right_one(free_play):
@@ -252,9 +328,15 @@ def test_a_load_at_the_wrong_end_of_its_play_is_placed_at_the_right_one(free_pla
     wrong[:, 2] *= -1
     moved = evaluate(problem, right.at(initial=wrong))
     again = initialise_load(problem, moved, 3)
-    assert moved.score_at_initial[problem.counted].sum() < right.score_at_initial[problem.counted].sum() - 100
+    assert (
+        moved.score_at_initial[problem.counted].sum()
+        < right.score_at_initial[problem.counted].sum() - 100
+    )
     assert np.all(again.score_at_initial >= moved.score_at_initial)
-    assert again.score_at_initial[problem.counted].sum() > right.score_at_initial[problem.counted].sum() - 20
+    assert (
+        again.score_at_initial[problem.counted].sum()
+        > right.score_at_initial[problem.counted].sum() - 20
+    )
     assert again.values == right.values
 
 
@@ -263,12 +345,16 @@ def test_steps_of_start_states_make_no_segment_worse(free_play):
     problem = backlash.base.problem
     after = refine_initial_states(problem, first, 3)
     assert np.all(after.score_at_initial >= first.score_at_initial)
-    assert after.score_at_initial[problem.counted].sum() > first.score_at_initial[problem.counted].sum() + 10
+    assert (
+        after.score_at_initial[problem.counted].sum()
+        > first.score_at_initial[problem.counted].sum() + 10
+    )
     assert refine_initial_states(problem, first, 0) is first
 
 
 def test_start_states_that_no_sensor_shows_are_paid_for():
-    """The logarithm of by how much the records narrow what was known of them; nothing where they say nothing.
+    """The logarithm of by how much the records narrow what was known of them; nothing where they
+    say nothing.
 
     In closed form for one direction: half of log(1 + information over precision).
     """
@@ -285,7 +371,9 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e12])
 def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
-    """A simulation that runs away follows both alike, by far more than rounding leaves of what is known of them."""
+    """A simulation that runs away follows both alike, by far more than rounding leaves of what is
+    known of them.
+    """
     by_initial = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
     found = Elimination.of(by_initial, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
     move = found.step(found.gradient)
@@ -319,7 +407,9 @@ def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
     lost = fit.good.copy()
     lost[one] = False
     kept = fit.output_by_initial * lost[:, None, None]
-    failed = replace(fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), output_by_initial=kept)
+    failed = replace(
+        fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), output_by_initial=kept
+    )
     before, after = squares(fit, dataset.held_out), squares(failed, dataset.held_out)
     assert after[0] == pytest.approx(float(np.var(dataset.segments.measured[one])))
     assert after[0] > 10 * before[0]
@@ -331,9 +421,12 @@ def test_parameters_collinear_with_an_effect_are_found(case):
     for name, others in (("back_emf", ("a2",)), ("gravity", ())):
         fit = joined(case(None), name).fit
         assert fit is not None
-        place = [f.name for f in fit.free].index(f"{name}.constant" if name == "back_emf" else f"{name}.amplitude")
+        place = [f.name for f in fit.free].index(
+            f"{name}.constant" if name == "back_emf" else f"{name}.amplitude"
+        )
         assert fit.collinear_with(place) == others
-        for known in (0.0, -1e9, np.nan):  # derivatives of a load that hits the ends of its play come to such values
+        # derivatives of a load that hits the ends of its play come to such values
+        for known in (0.0, -1e9, np.nan):
             rounded = fit.information.copy()
             rounded[0, 0] = known
             assert replace(fit, information=rounded).collinear_with(place) == ()
@@ -346,12 +439,20 @@ def test_a_record_without_motion_has_a_relative_error_above_one(case):
     assert relative_error(still, fit) > 1.0
 
 
-@pytest.mark.parametrize(("low", "high", "pressed"), [(0.02, 0.05, True), (0.02, 0.3, False), (0.0797, 0.3, False)])
+@pytest.mark.parametrize(
+    ("low", "high", "pressed"), [(0.02, 0.05, True), (0.02, 0.3, False), (0.0797, 0.3, False)]
+)
 def test_a_bound_that_the_records_push_against_is_pressed(case, low, high, pressed):
-    """An amplitude of 0.08 N.m that may be 0.05 at most; one whose interval ends where the estimate is gains nothing beyond it."""
+    """An amplitude of 0.08 N.m that may be 0.05 at most; one whose interval ends where the estimate
+    is gains nothing beyond it.
+    """
     found = joined(case("cogging"), "cogging").fit
-    free = tuple(replace(f, low=low, high=high) if f.name == "cogging.amplitude" else f for f in found.free)
-    values = found.values | {"cogging.amplitude": min(max(found.values["cogging.amplitude"], low), high)}
+    free = tuple(
+        replace(f, low=low, high=high) if f.name == "cogging.amplitude" else f for f in found.free
+    )
+    values = found.values | {
+        "cogging.amplitude": min(max(found.values["cogging.amplitude"], low), high)
+    }
     problem = case("cogging").base.problem
     fit = refit(problem, Point(found.simulator, free, values, found.initial))
     gains = pressed_bounds(fit, "cogging.")

@@ -15,7 +15,11 @@ from bristle.plant.friction import laws
 def test_an_augmented_plant_is_the_model_it_was_made_from():
     given = {"J": 0.01, "b": 0.5, "coulomb.Fc": 0.12, "cogging.amplitude": 0.06}
     model = fmu_model(obtain("plant", law="coulomb", effects=("cogging",), parameters=given))
-    assert (model.friction, model.input_kind, model.output.column) == ("coulomb", "voltage", "theta")
+    assert (model.friction, model.input_kind, model.output.column) == (
+        "coulomb",
+        "voltage",
+        "theta",
+    )
     assert model.parameters == {"J": 0.01, "a2": 0.002, "b": 0.5, "coulomb.Fc": 0.12}
     assert model.effects["cogging"]["amplitude"] == 0.06
     assert model.effects.keys() == {"cogging"}
@@ -55,5 +59,8 @@ def test_an_unusable_fmu_is_refused_in_one_line(tmp_path):
         fmu_model(tmp_path / "empty.fmu")
     with zipfile.ZipFile(tmp_path / "other.fmu", "w") as other:
         other.writestr("modelDescription.xml", "<a/>")
-    with pytest.raises(BristleError, match=r"not one of FMI, or lacks an attribute such as fmiVersion; give a valid"):
+    with pytest.raises(
+        BristleError,
+        match=r"not one of FMI, or lacks an attribute such as fmiVersion; give a valid",
+    ):
         fmu_model(tmp_path / "other.fmu")

@@ -1,4 +1,6 @@
-"""Scenarios with a hidden effect: nothing but the sealed answers says what is hidden, and the scorer counts what it should."""
+"""Scenarios with a hidden effect: nothing but the sealed answers says what is hidden, and the
+scorer counts what it should.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from bristle.harness.catalogue import scenarios
 from bristle.plant.effects import effects
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
+SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))[
+    "effects"
+]
 HIDDEN = ROOT / "scenarios" / "hidden"
 CASES = sorted(path for path in HIDDEN.iterdir() if path.is_dir())
 NEEDED = {"torque"}  # the name of a parameter too, but every model says what its input is
@@ -29,7 +33,9 @@ NEEDED = {"torque"}  # the name of a parameter too, but every model says what it
 @pytest.fixture(scope="module")
 def scorer() -> ModuleType:
     """The program benchmarks/hidden.py."""
-    spec = importlib.util.spec_from_file_location("bristle_benchmarks_hidden", ROOT / "benchmarks" / "hidden.py")
+    spec = importlib.util.spec_from_file_location(
+        "bristle_benchmarks_hidden", ROOT / "benchmarks" / "hidden.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
@@ -50,11 +56,15 @@ def blank(text: str) -> str:
 
 def forbidden() -> set[str]:
     """Return the names of all effects and of their parameters."""
-    parameters = {p.name.removeprefix(f"{name}.") for name in SHIPPED for p in effects()[name].parameters}
+    parameters = {
+        p.name.removeprefix(f"{name}.") for name in SHIPPED for p in effects()[name].parameters
+    }
     return {*SHIPPED, *parameters} - NEEDED
 
 
-def test_the_seal_is_intact_and_a_changed_answer_breaks_it(scorer: ModuleType, tmp_path: Path) -> None:
+def test_the_seal_is_intact_and_a_changed_answer_breaks_it(
+    scorer: ModuleType, tmp_path: Path
+) -> None:
     assert not scorer.broken()
     for name in (scorer.SEALED, scorer.DIGEST):
         shutil.copy(HIDDEN / name, tmp_path)
@@ -67,7 +77,12 @@ def test_the_seal_is_intact_and_a_changed_answer_breaks_it(scorer: ModuleType, t
 
 def test_every_effect_is_hidden_in_some_case(answers: dict[str, Any]) -> None:
     assert sorted(answers) == [folder.name for folder in CASES]
-    single = [e["name"] for answer in answers.values() if answer["kind"] == "single" for e in answer["effects"]]
+    single = [
+        e["name"]
+        for answer in answers.values()
+        if answer["kind"] == "single"
+        for e in answer["effects"]
+    ]
     assert sorted(single) == sorted(SHIPPED)
     kinds = [answer["kind"] for answer in answers.values()]
     assert [kinds.count(kind) for kind in ("control", "outside", "pair")] == [2, 1, 1]
@@ -89,7 +104,9 @@ def test_no_text_beside_the_answers_names_an_effect_or_a_parameter(scorer: Modul
 
 
 def test_models_differ_in_numbers_only(answers: dict[str, Any]) -> None:
-    """All the same, but for a few with a current for an input, which were drawn apart from the effects."""
+    """All the same, but for a few with a current for an input, which were drawn apart from the
+    effects.
+    """
     texts = [blank((folder / "model.toml").read_text(encoding="utf-8")) for folder in CASES]
     kinds = {text: tomllib.loads(text)["input"]["kind"] for text in set(texts)}
     assert sorted(kinds.values()) == ["current", "torque"]
@@ -103,7 +120,11 @@ def test_records_have_the_same_columns_everywhere() -> None:
     for folder in CASES:
         for name, begin in begins.items():
             with np.load(folder / f"{name}.npz") as record:
-                assert {key: record[key].dtype.str for key in record.files} == {"t": "<i4", "u": "<f4", "theta": "<i4"}
+                assert {key: record[key].dtype.str for key in record.files} == {
+                    "t": "<i4",
+                    "u": "<f4",
+                    "theta": "<i4",
+                }
                 assert all(record[key].shape == (20_000,) for key in record.files)
                 np.testing.assert_array_equal(record["t"], begin + np.arange(20_000))
 
@@ -123,7 +144,12 @@ def test_hidden_cases_are_no_scenarios_to_run() -> None:
 
 def result(verdict: str, *names: str, flag: bool = False) -> dict[str, Any]:
     effects = [{"name": name} for name in names]
-    return {"verdict": verdict, "effects": effects, "ties": [["bias", "gravity"]], "remains": {"flag": flag}}
+    return {
+        "verdict": verdict,
+        "effects": effects,
+        "ties": [["bias", "gravity"]],
+        "remains": {"flag": flag},
+    }
 
 
 @pytest.mark.parametrize(
@@ -145,7 +171,9 @@ def result(verdict: str, *names: str, flag: bool = False) -> dict[str, Any]:
         ("single", ["gravity"], {"verdict": "error", "effects": [], "ties": []}, "no"),
     ],
 )
-def test_what_counts_as_right(scorer: ModuleType, kind: str, truth: list[str], answer: dict[str, Any], right: str) -> None:
+def test_what_counts_as_right(
+    scorer: ModuleType, kind: str, truth: list[str], answer: dict[str, Any], right: str
+) -> None:
     class_of = importlib.import_module("forms").class_of  # on the path since the scorer is
     hidden = {"kind": kind, "effects": [{"name": name, "class": class_of(name)} for name in truth]}
     assert scorer.right(hidden, answer) == right
@@ -153,8 +181,14 @@ def test_what_counts_as_right(scorer: ModuleType, kind: str, truth: list[str], a
 
 @pytest.mark.parametrize("what", ["gravity", "noise_only"])
 @pytest.mark.slow
-def test_a_case_is_diagnosed_and_scored(scorer: ModuleType, answers: dict[str, Any], tmp_path: Path, what: str) -> None:
-    [name] = [n for n, a in answers.items() if a["variant"] == what or [e["name"] for e in a["effects"]] == [what]]
+def test_a_case_is_diagnosed_and_scored(
+    scorer: ModuleType, answers: dict[str, Any], tmp_path: Path, what: str
+) -> None:
+    [name] = [
+        n
+        for n, a in answers.items()
+        if a["variant"] == what or [e["name"] for e in a["effects"]] == [what]
+    ]
     found = scorer.diagnosed(HIDDEN / name, tmp_path)
     assert scorer.right(answers[name], found) == "yes"
     text = scorer.table(answers, {name: found})

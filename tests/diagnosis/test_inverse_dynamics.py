@@ -1,4 +1,6 @@
-"""Inverse dynamics along the measured motion: model and effect are fitted together, where simulations diverge from the start."""
+"""Inverse dynamics along the measured motion: model and effect are fitted together, where
+simulations diverge from the start.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
         records = records_from_arrays(model, [("run", *measured(name, 1)[:3])])
         dataset = dataset_of(model, records)
         fitted = fit_with_noise(dataset, *base_servo_of(model, dataset))
-        return partial(balance_starts, SearchContext(dataset, fitted), balanced_model(dataset, fitted))
+        return partial(
+            balance_starts, SearchContext(dataset, fitted), balanced_model(dataset, fitted)
+        )
 
     return make
 
@@ -32,7 +36,9 @@ HIDDEN = [("gravity", "amplitude", 0.3), ("cogging", "amplitude", 0.08), ("bias"
 
 
 @pytest.mark.parametrize(("name", "parameter", "true"), HIDDEN)
-def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]) -> None:
+def test_it_starts_near_the_truth(
+    name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]
+) -> None:
     tree["parameters"] = {"J": 0.02, "a2": 0.01, "Fc": 0.3}
     [(values, start)] = joint(tree, name)(name)
     assert abs(start[parameter]) == pytest.approx(true, rel=0.15)
@@ -40,13 +46,17 @@ def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint:
     assert values["coulomb.Fc"] == pytest.approx(0.12, rel=0.15)
 
 
-def test_regression_gives_no_starts_where_hidden_states_matter(joint: Callable[..., Any], tree: dict[str, Any]) -> None:
+def test_regression_gives_no_starts_where_hidden_states_matter(
+    joint: Callable[..., Any], tree: dict[str, Any]
+) -> None:
     found = joint(tree, "bias")
     for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
         assert found(name) == []
 
 
-def test_limits_follow_the_axis_and_the_records(tree: dict[str, Any], measured: Callable[..., Any]) -> None:
+def test_limits_follow_the_axis_and_the_records(
+    tree: dict[str, Any], measured: Callable[..., Any]
+) -> None:
     model = Model.from_dict(tree)
     dataset = dataset_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
     rotary = limits(dataset)

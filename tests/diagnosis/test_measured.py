@@ -1,4 +1,6 @@
-"""The four measured data sets go through intake and plausibility; each test is skipped where its data are absent."""
+"""The four measured data sets go through intake and plausibility; each test is skipped where its
+data are absent.
+"""
 
 import importlib.util
 import math
@@ -15,7 +17,13 @@ from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.estimation.uncertainty import estimates, refitted_estimates
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.whole.open_loop import Records, general_horizon, open_loop, open_loop_servo, refit_growing
+from bristle.diagnosis.whole.open_loop import (
+    Records,
+    general_horizon,
+    open_loop,
+    open_loop_servo,
+    refit_growing,
+)
 
 pytestmark = pytest.mark.slow
 _PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
@@ -62,7 +70,9 @@ def judged(model, entries, sign=1.0):
 
 
 def test_xl330(data):
-    """Half a kilogram at 0.1 m: J is that of the mass and the rotor; the voltage moves it the right way."""
+    """Half a kilogram at 0.1 m: J is that of the mass and the rotor; the voltage moves it the right
+    way.
+    """
     entries = data.xl330()
     assert {e[4]["kp"] for e in entries} == {100, 200, 400, 800}
     assert max(float(np.max(np.abs(e[2]))) for e in entries) < 9.5
@@ -70,23 +80,31 @@ def test_xl330(data):
     records, found = judged(model, entries)
     assert found.proposals == ()
     assert found.fit["explained"] > 0.9
-    assert all(r.resampled and r.resolution == pytest.approx(2 * np.pi / 4096, rel=1e-6) for r in records)
+    assert all(
+        r.resampled and r.resolution == pytest.approx(2 * np.pi / 4096, rel=1e-6) for r in records
+    )
     assert any("scatter by" in line for line in records[0].findings)
     [line] = judged(model, entries, -1.0)[1].proposals
     assert "flipped" in line
 
 
 def test_go1(data):
-    """The torque demand is ahead of a gear of about 6: inertia comes out at a sixth of what mass and arm say."""
+    """The torque demand is ahead of a gear of about 6: inertia comes out at a sixth of what mass
+    and arm say.
+    """
     for mass in (1.0, 2.0, 3.0):
         inertia = mass * 0.15**2 + 0.003
         entries = data.go1(mass)
         assert len(entries) == 3
-        records, found = judged(declared("torque", {"J": inertia / 6, "a2": 0.01, "Fc": 0.02}), entries)
+        records, found = judged(
+            declared("torque", {"J": inertia / 6, "a2": 0.01, "Fc": 0.02}), entries
+        )
         assert found.proposals == ()
         assert all(r.findings == () for r in records if "7m50" not in r.name)
         tight = {"J": [0.6 * inertia, 1.6 * inertia], "a2": [0.0, 1.0], "Fc": [0.0, 1.0]}
-        _, found = judged(declared("torque", {"J": inertia, "a2": 0.05, "Fc": 0.02}, bounds=tight), entries)
+        _, found = judged(
+            declared("torque", {"J": inertia, "a2": 0.05, "Fc": 0.02}, bounds=tight), entries
+        )
         assert any(line.startswith("J comes out near") for line in found.findings)
 
 
@@ -122,15 +140,23 @@ def named(model, entries):
     return {effect.group for effect in diagnose(model, taken(model, entries)).effects}
 
 
-@pytest.mark.parametrize(("compensated", "groups"), [(False, [{"cogging"}]), (True, [set(), {"cogging"}])])
-def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(compensated, groups, data):
+@pytest.mark.parametrize(
+    ("compensated", "groups"), [(False, [{"cogging"}]), (True, [set(), {"cogging"}])]
+)
+def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(
+    compensated, groups, data
+):
     """A light motor turned slowly: the model without cogging stops where the motor goes on."""
     model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
     assert named(model, data.odrive(compensated)) in groups
 
 
-def test_the_friction_of_a_worn_axis_that_differs_by_direction_is_named_and_holds_over_the_whole_record(data):
-    """An offset is the next best: with it twice the error is left on held-out segments, and the residual still follows velocity."""
+def test_the_friction_of_a_worn_axis_that_differs_by_direction_is_named_and_holds_over_the_whole_record(
+    data,
+):
+    """An offset is the next best: with it twice the error is left on held-out segments, and the
+    residual still follows velocity.
+    """
     found = diagnose(worn_axis(), taken(worn_axis(), data.emps()))
     assert {effect.group for effect in found.effects} == {"asymmetric_viscous"}
     assert found.gap.after < 0.5 * 1.52e-4**2
@@ -140,23 +166,33 @@ def test_the_friction_of_a_worn_axis_that_differs_by_direction_is_named_and_hold
 
 
 def test_emps_over_the_whole_record(data):
-    """With an offset as the only effect: what its authors and others found over the whole record, by halves too."""
+    """With an offset as the only effect: what its authors and others found over the whole record,
+    by halves too.
+    """
     [entry] = data.emps()
     model = worn_axis()
     [record] = taken(model, [entry])
     dataset = dataset_of(model, [record])
     servo, values = base_servo_of(model, dataset)
     start = {"torque": 1.0}
-    servo = replace(servo, effects=("bias",), free=(*servo.free, *free_parameters("bias", start, servo.limits)))
+    servo = replace(
+        servo, effects=("bias",), free=(*servo.free, *free_parameters("bias", start, servo.limits))
+    )
     fitted = fit_with_noise(dataset, servo, values | {"bias.torque": 1.0})
-    own, plain, segment = Records.of(dataset, [record], dataset.segments.times), open_loop_servo(servo), dataset.segments.seconds
+    own, plain, segment = (
+        Records.of(dataset, [record], dataset.segments.times),
+        open_loop_servo(servo),
+        dataset.segments.seconds,
+    )
     segments = open_loop(plain, fitted.fit.values, own, own.seconds).error
     assert general_horizon(plain, fitted.fit.values, own, segment) == math.inf
     grown = refit_growing(plain, fitted.fit.values, own, segment)
     assert grown.whole
     assert open_loop(plain, grown.fit.values, own, own.seconds).error < 2.7e-3 < 0.3 * segments
     assert 180.0 < grown.fit.values["a2"] < 205.0  # 235 over segments
-    low, high = refitted_estimates(model, grown.fit, estimates(model, fitted.fit))["bias.torque"].ci95
+    low, high = refitted_estimates(model, grown.fit, estimates(model, fitted.fit))[
+        "bias.torque"
+    ].ci95
     assert low < 3.38 < high
     for one, other in (own.halves(), own.halves()[::-1]):
         half = refit_growing(plain, fitted.fit.values, one, segment)

@@ -1,4 +1,6 @@
-"""Model files: what is read, what is assumed, what is written back, and one line for every mistake."""
+"""Model files: what is read, what is assumed, what is written back, and one line for every
+mistake.
+"""
 
 import math
 import tomllib
@@ -76,13 +78,19 @@ def test_a_linear_axis(tree):
     assert model.parameters["J"] == 95.0
     assert model.bounds == {"J": (50.0, 200.0)}
     assert model.resolution == pytest.approx(5e-8)
-    assert [model.unit(n) for n in ("J", "a2", "b", "coulomb.Fc", "gravity.amplitude", "hard_stop.upper")] == [
-        "kg", "N.s/m", "N/V", "N", "N", "m"
-    ]  # fmt: skip
+    assert [
+        model.unit(n)
+        for n in ("J", "a2", "b", "coulomb.Fc", "gravity.amplitude", "hard_stop.upper")
+    ] == ["kg", "N.s/m", "N/V", "N", "N", "m"]
     assert model.output_unit == "m"
     tree["effects"] = {"cogging": {"amplitude": "3 N", "phase": "90 deg", "periods": "250 rad/m"}}
     model = Model.from_dict(tree)
-    assert [model.unit(f"cogging.{p}") for p in ("amplitude", "phase", "periods", "phase2")] == ["N", "rad", "rad/m", "rad"]
+    assert [model.unit(f"cogging.{p}") for p in ("amplitude", "phase", "periods", "phase2")] == [
+        "N",
+        "rad",
+        "rad/m",
+        "rad",
+    ]
     assert model.effects["cogging"]["phase"] == pytest.approx(np.pi / 2)
     assert model.effects["cogging"]["periods"] == 250.0
 
@@ -99,7 +107,11 @@ def test_a_drive_needs_its_gain_and_may_turn(kind, tree, message):
 
 
 def test_every_unit_of_the_servo_has_a_linear_twin():
-    units = {p.unit for e in effects().values() for p in e.parameters} | {"N.m.s/rad", "kg.m2", "N.m/V"}
+    units = {p.unit for e in effects().values() for p in e.parameters} | {
+        "N.m.s/rad",
+        "kg.m2",
+        "N.m/V",
+    }
     for unit in units:
         linear = si_unit(unit, True, "force")
         assert "rad" not in linear
@@ -111,12 +123,24 @@ def test_every_unit_of_the_servo_has_a_linear_twin():
 
 def test_bounds_that_are_not_given(tree):
     del tree["bounds"]
-    assert Model.from_dict(tree).bounds == {"J": (0.002, 0.05), "a2": (0.0, 0.1), "coulomb.Fc": (0.0, 0.6)}
+    assert Model.from_dict(tree).bounds == {
+        "J": (0.002, 0.05),
+        "a2": (0.0, 0.1),
+        "coulomb.Fc": (0.0, 0.6),
+    }
     tree["parameters"]["a2"] = 0.0  # nothing to scale by
     assert set(Model.from_dict(tree).bounds) == {"J", "coulomb.Fc"}
     tree["bounds"] = {}
     assert Model.from_dict(tree).bounds == {}
-    own = {"J": 1.0, "a2": 1.0, "lugre.sigma0": 1.0, "lugre.sigma1": 0.0, "lugre.Fc": 1.0, "lugre.Fs": 2.0, "lugre.vs": 1.0}
+    own = {
+        "J": 1.0,
+        "a2": 1.0,
+        "lugre.sigma0": 1.0,
+        "lugre.sigma1": 0.0,
+        "lugre.Fc": 1.0,
+        "lugre.Fs": 2.0,
+        "lugre.vs": 1.0,
+    }
     found = default_bounds(law("lugre"), own)
     assert set(found) == {"J", "a2", "lugre.Fc", "lugre.Fs"}
     assert found["lugre.Fs"] == (0.4, 10.0)
@@ -179,9 +203,17 @@ def changed(tree, path, value):
         ("output/resolution", 0.0, ["output.resolution", "above 0"]),
         ("output/resolution", "much", ["output.resolution", "not a quantity"]),
         ("effects/coging", {}, ["effects.coging", "did you mean 'cogging'"]),
-        ("effects/cogging", {"amplitud": 1.0}, ["effects.cogging.amplitud", "did you mean 'amplitude'"]),
+        (
+            "effects/cogging",
+            {"amplitud": 1.0},
+            ["effects.cogging.amplitud", "did you mean 'amplitude'"],
+        ),
         ("effects/cogging", {"amplitude": 1.0}, ["effects.cogging.periods: missing"]),
-        ("effects/cogging", {"amplitude": 1.0, "periods": 0.5}, ["effects.cogging.periods", "outside [1, 10000]"]),
+        (
+            "effects/cogging",
+            {"amplitude": 1.0, "periods": 0.5},
+            ["effects.cogging.periods", "outside [1, 10000]"],
+        ),
     ],
 )
 def test_every_mistake_is_one_line(path, value, words, tree, message, tmp_path):
@@ -194,7 +226,10 @@ def test_every_mistake_is_one_line(path, value, words, tree, message, tmp_path):
 
 
 def test_effects_that_cannot_be_combined_are_refused(tree, message):
-    tree["effects"] = {"presliding": {"stiffness": 1.0}, "bristle_damping": {"stiffness": 1.0, "damping": 0.1}}
+    tree["effects"] = {
+        "presliding": {"stiffness": 1.0},
+        "bristle_damping": {"stiffness": 1.0, "damping": 0.1},
+    }
     assert "choose one of them" in message(lambda: Model.from_dict(tree))
 
 
@@ -202,7 +237,10 @@ def test_a_file_that_begins_with_a_byte_order_mark(tree, tmp_path):
     text = model_text(Model.from_dict(tree))
     (tmp_path / "model.toml").write_text(text, encoding="utf-8")
     (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
-    assert load_model(tmp_path / "marked.toml").parameters == load_model(tmp_path / "model.toml").parameters
+    assert (
+        load_model(tmp_path / "marked.toml").parameters
+        == load_model(tmp_path / "model.toml").parameters
+    )
 
 
 def test_files_that_cannot_be_read(tmp_path, message):
@@ -212,13 +250,23 @@ def test_files_that_cannot_be_read(tmp_path, message):
 
 
 def test_what_is_written_reads_back_the_same(tree, tmp_path):
-    tree["output"] |= {"unit": "1", "scale": "0.1 deg", "resolution": 1.0, "column": 'a "quoted\\" name\n'}
+    tree["output"] |= {
+        "unit": "1",
+        "scale": "0.1 deg",
+        "resolution": 1.0,
+        "column": 'a "quoted\\" name\n',
+    }
     tree["effects"] = {
         "cogging": {"amplitude": 0.1 + 0.2, "periods": 7.0, "phase": -1.0},
         "hard_stop": {"stiffness": 1.0, "upper": 1.0, "lower": -1e6},
     }
     model = Model.from_dict(tree)
-    model = replace(model, parameters={name: np.float64(value) * (1 + 1e-16) for name, value in model.parameters.items()})
+    model = replace(
+        model,
+        parameters={
+            name: np.float64(value) * (1 + 1e-16) for name, value in model.parameters.items()
+        },
+    )
     path = tmp_path / "augmented.toml"
     path.write_text(model_text(model), encoding="utf-8")
     again = load_model(path)

@@ -1,4 +1,6 @@
-"""Parameters and noise estimated in turn: the noise model must not take up what the model explains only in part."""
+"""Parameters and noise estimated in turn: the noise model must not take up what the model explains
+only in part.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ TRUE = {"gravity.amplitude": 0.03, "asymmetric_coulomb.share": 0.1}
 
 
 def simulated(model: Model, seed: int) -> Record:
-    """Return 12 s of a servo with a weight, friction that differs by direction, and a disturbance of 10 Hz."""
+    """Return 12 s of a servo with a weight, friction that differs by direction, and a disturbance
+    of 10 Hz.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(12000) * H
     f = np.array([0.15, 0.37, 0.61, 0.93, 1.7, 2.9, 4.3, 7.1, 11.0])
@@ -33,15 +37,21 @@ def simulated(model: Model, seed: int) -> Record:
     pole = np.exp(-2 * np.pi * 10 * H)
     noise = lfilter([1 - pole], [1, -pole], rng.standard_normal(len(t)))
     setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
-    native = Native(servo_program("coulomb", effects=tuple(name.split(".")[0] for name in TRUE)), setting | TRUE)
+    native = Native(
+        servo_program("coulomb", effects=tuple(name.split(".")[0] for name in TRUE)), setting | TRUE
+    )
     out, _ = native.run(H, {"u": u, "tau_load": 0.003 * noise / np.std(noise)}, ["theta"])
-    [record] = records_from_arrays(model, [(f"run {seed}", t, u, np.floor(out[:-1, 0] / STEP) * STEP)])
+    [record] = records_from_arrays(
+        model, [(f"run {seed}", t, u, np.floor(out[:-1, 0] / STEP) * STEP)]
+    )
     return record
 
 
 @pytest.fixture(scope="module")
 def asymmetric() -> tuple[Dataset, Fit]:
-    """A dataset, and a fit with one of the two effects that hardly moves: the other one, unknown, passes as slow noise."""
+    """A dataset, and a fit with one of the two effects that hardly moves: the other one, unknown,
+    passes as slow noise.
+    """
     tree: dict[str, Any] = {
         "friction": "coulomb",
         "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
@@ -73,7 +83,9 @@ def test_converged_noise_and_fit_are_likelier_and_nearer_the_truth(
     timid = fitting.refit_with_noise(own, first)
     assert end.total > timid.total + 30
     true = TRUE["asymmetric_coulomb.share"]
-    assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(timid.values["asymmetric_coulomb.share"] - true)
+    assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(
+        timid.values["asymmetric_coulomb.share"] - true
+    )
 
 
 def test_a_converged_noise_refit_changes_nothing(asymmetric: tuple[Dataset, Fit]) -> None:
@@ -87,18 +99,26 @@ def judged(monkeypatch: pytest.MonkeyPatch, diverged: bool, models: list[dict[st
     """Let every model fit poorly, and the inverse dynamics give these start values."""
     monkeypatch.setattr(fitting, "fits_poorly", lambda dataset, fit: True)
     monkeypatch.setattr(fitting, "has_diverged", lambda dataset, fit: diverged)
-    monkeypatch.setattr(fitting, "balanced_model", lambda dataset, fitted: SimpleNamespace(models=models))
+    monkeypatch.setattr(
+        fitting, "balanced_model", lambda dataset, fitted: SimpleNamespace(models=models)
+    )
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((0.0, 3.0), 0), ((0.0, 9.0), 1), ((3.0, 0.0), 0)])
 def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
     gains: tuple[float, float], chosen: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A light motor turned slowly ended 0.3 nats higher without dry friction, at two bounds: on one machine, not on another."""
+    """A light motor turned slowly ended 0.3 nats higher without dry friction, at two bounds: on one
+    machine, not on another.
+    """
     free = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6))
     ends = [
-        SimpleNamespace(servo=SimpleNamespace(free=free), fit=SimpleNamespace(total=100.0 + gain, values=values))
-        for gain, values in zip(gains, ({"J": 1e-3, "coulomb.Fc": 0.1}, {"J": 1e-2, "coulomb.Fc": 0.0}), strict=True)
+        SimpleNamespace(
+            servo=SimpleNamespace(free=free), fit=SimpleNamespace(total=100.0 + gain, values=values)
+        )
+        for gain, values in zip(
+            gains, ({"J": 1e-3, "coulomb.Fc": 0.1}, {"J": 1e-2, "coulomb.Fc": 0.0}), strict=True
+        )
     ]
     several = iter(ends)
     monkeypatch.setattr(fitting, "fit_with_noise", lambda *_: next(several))
@@ -108,14 +128,18 @@ def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
 
 
 @pytest.mark.parametrize("diverged", [True, False])
-def test_a_model_that_diverges_is_fitted_from_less_dry_friction_too(diverged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_diverges_is_fitted_from_less_dry_friction_too(
+    diverged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Dry friction holds an axis where a missing torque would; steps end where it sticks."""
     free, begun = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6)), []
 
     def converge(stand: Any, servo: Any, values: dict[str, float]) -> SimpleNamespace:
         begun.append(values)
         found = {"J": 1e-3, "coulomb.Fc": 0.1}
-        return SimpleNamespace(servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found))
+        return SimpleNamespace(
+            servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found)
+        )
 
     monkeypatch.setattr(fitting, "fit_with_noise", converge)
     judged(monkeypatch, diverged=diverged, models=[])

@@ -1,4 +1,6 @@
-"""Plausibility: silent on plausible data with any effect and nominal values off by two, loud on mistakes."""
+"""Plausibility: silent on plausible data with any effect and nominal values off by two, loud on
+mistakes.
+"""
 
 import math
 import tomllib
@@ -11,13 +13,20 @@ from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
 from bristle.plant.effects import effects
 
-SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
-PLACES = {name: place for place, name in enumerate(sorted(SHIPPED[:22]))}  # those of effects that came later are 0
+SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))[
+    "effects"
+]
+# those of effects that came later are 0
+PLACES = {name: place for place, name in enumerate(sorted(SHIPPED[:22]))}
 OFF = [(2.0, 2.0, 2.0), (0.5, 0.5, 0.5), (2.0, 0.5, 2.0)]
 
 
 def declared(tree, kind="position", off=(1.0, 1.0, 1.0), **changed):
-    tree["output"] = {"column": "theta", "kind": kind, "unit": "rad" if kind == "position" else "rad/s"}
+    tree["output"] = {
+        "column": "theta",
+        "kind": kind,
+        "unit": "rad" if kind == "position" else "rad/s",
+    }
     tree["parameters"] = {"J": 0.01 * off[0], "a2": 0.02 * off[1], "Fc": 0.12 * off[2]}
     tree.pop("bounds", None)
     tree |= changed
@@ -25,7 +34,10 @@ def declared(tree, kind="position", off=(1.0, 1.0, 1.0), **changed):
 
 
 def said(model, data, change=lambda t, u, y: (t, u, y)):
-    return check(model, records_from_arrays(model, [(f"run{i}", *change(*each)) for i, each in enumerate(data)]))
+    return check(
+        model,
+        records_from_arrays(model, [(f"run{i}", *change(*each)) for i, each in enumerate(data)]),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +69,8 @@ def test_each_mistake_is_reported(name, positions, velocities, tree):
         "torque looks a factor": lambda t, u, y: (t, u * 1e3, y),
         "torque looks": lambda t, u, y: (t, u / 1e3, y),
         "position looks a factor": lambda t, u, y: (t, u, np.degrees(y)),
-        "": lambda t, u, y: (t, y, u),  # swapped: over a motion like this one it may be taken for another reading
+        # swapped: over a motion like this one it may be taken for another reading
+        "": lambda t, u, y: (t, y, u),
     }
     for words, change in mistakes.items():
         [line] = said(declared(tree, off=off), positions[name], change).proposals
@@ -75,7 +88,11 @@ def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, me
     model, [(t, u, y)] = declared(tree), positions[name]
     second = measured(name, 2)[:3]
     assert said(model, [(t, u, y), second]).proposals == ()
-    mistakes = {"input sign looks flipped": (t, -u, y), "torque looks a factor": (t, 1e3 * u, y), "position looks": (t, u, y / 60)}
+    mistakes = {
+        "input sign looks flipped": (t, -u, y),
+        "torque looks a factor": (t, 1e3 * u, y),
+        "position looks": (t, u, y / 60),
+    }
     for words, wrong in mistakes.items():
         [line] = said(model, [second, wrong]).proposals
         assert line.startswith("record run1: ")
@@ -133,13 +150,17 @@ def test_a_common_factor_beyond_tight_bounds_is_a_finding(positions, tree):
     found = said(Model.from_dict(tree), positions["bias"])
     assert found.proposals == ()
     assert any(line.startswith("J comes out near") for line in found.findings)
-    assert any("J and coulomb.Fc come out at 1/" in line and "gear" in line for line in found.findings)
+    assert any(
+        "J and coulomb.Fc come out at 1/" in line and "gear" in line for line in found.findings
+    )
     tree["bounds"] = {"J": [0.005, 0.04], "Fc": [0.05, 0.45]}
     assert said(Model.from_dict(tree), positions["bias"]).findings == ()
 
 
 def test_an_inertia_that_alone_is_far_off_may_lie_behind_a_gear(positions, tree):
-    """The friction was fitted to such data, the inertia of the load was weighed: a law without viscous friction shows no third."""
+    """The friction was fitted to such data, the inertia of the load was weighed: a law without
+    viscous friction shows no third.
+    """
     tree["parameters"], tree["bounds"] = {"J": 0.08, "a2": 0.0, "Fc": 0.12}, {}
     [line] = said(Model.from_dict(tree), positions["bias"]).proposals
     assert "position looks a factor" in line
@@ -175,7 +196,9 @@ def test_any_law_has_a_level_or_none(friction, positions, tree):
 
 
 def test_a_speed_without_its_sign_is_proposed_and_a_drive_that_brakes_is_not(velocities, tree):
-    """|v| under an input of both signs; a motion that never reverses although the input does is described by the model."""
+    """|v| under an input of both signs; a motion that never reverses although the input does is
+    described by the model.
+    """
     model = declared(tree, "velocity")
     [line] = said(model, velocities["bias"], lambda t, u, v: (t, u, np.abs(v))).proposals
     assert line.startswith("output looks like a speed without its sign: 'theta' keeps one sign")

@@ -1,4 +1,6 @@
-"""What bristle init proposes from measured files alone, as ten loggers write those of one known servo."""
+"""What bristle init proposes from measured files alone, as ten loggers write those of one known
+servo.
+"""
 
 import sys
 import tomllib
@@ -39,7 +41,14 @@ def plain(folder, header="t,u,theta", change=lambda t, u, y: (t, u, y)):
     record = servo_records()[0]
     n = round(SECONDS * 1e3)
     columns = change(np.arange(n) * 1e-3, record.u[:n], record.theta[:n])
-    np.savetxt(folder / "run.csv", np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.9g")
+    np.savetxt(
+        folder / "run.csv",
+        np.column_stack(columns),
+        delimiter=",",
+        header=header,
+        comments="",
+        fmt="%.9g",
+    )
     return folder / "run.csv"
 
 
@@ -76,7 +85,9 @@ def test_the_comparison_with_the_truth_can_fail(pairs):
         or len(mistakes(replace(style, gain=2.2), found)) > 1
     )
     assert mistakes(replace(style, step=0.05), found) == [f"step {360 / 16384:.6g}"]
-    assert mistakes(replace(style, units=("s", "N.m", "rad")), found) == ["units ('s', 'N.m', 'deg')"]
+    assert mistakes(replace(style, units=("s", "N.m", "rad")), found) == [
+        "units ('s', 'N.m', 'deg')"
+    ]
 
 
 def test_what_cannot_be_told_is_said_and_kept_as_a_comment(tmp_path):
@@ -85,12 +96,22 @@ def test_what_cannot_be_told_is_said_and_kept_as_a_comment(tmp_path):
 
     found = propose(plain(tmp_path, "t [s],torque A [Nm],torque B [Nm],angle [rad]", two))
     assert found.input.column.column == "torque B [Nm]"
-    assert any(line.startswith("2 columns may be the input: 'torque B [Nm]' is taken") for line in found.doubts)
+    assert any(
+        line.startswith("2 columns may be the input: 'torque B [Nm]' is taken")
+        for line in found.doubts
+    )
     text = model_text(found, "bristle diagnose")
     assert '# column = "torque A [Nm]"' in text
-    assert tomllib.loads(text)["input"] == {"column": "torque B [Nm]", "unit": "N.m", "kind": "torque"}
+    assert tomllib.loads(text)["input"] == {
+        "column": "torque B [Nm]",
+        "unit": "N.m",
+        "kind": "torque",
+    }
     assert any("2 columns may be the input" in line for line in summary(found))
-    assert propose(tmp_path / "run.csv", {"input": "torque A [Nm]"}).input.column.column == "torque A [Nm]"
+    assert (
+        propose(tmp_path / "run.csv", {"input": "torque A [Nm]"}).input.column.column
+        == "torque A [Nm]"
+    )
 
 
 def test_a_torque_comes_before_a_current_and_a_position_before_a_speed(tmp_path):
@@ -98,7 +119,10 @@ def test_a_torque_comes_before_a_current_and_a_position_before_a_speed(tmp_path)
         return t, u * 4, np.gradient(y, t), y, u
 
     found = propose(plain(tmp_path, "t [s],i [A],speed [rad/s],angle [rad],torque [Nm]", more))
-    assert [each.column.column for each in (found.input, found.output)] == ["torque [Nm]", "angle [rad]"]
+    assert [each.column.column for each in (found.input, found.output)] == [
+        "torque [Nm]",
+        "angle [rad]",
+    ]
     assert [each.column.column for each in found.others["input"]] == ["i [A]"]
     assert "input   'torque [Nm]' in N.m, torque (or 'i [A]')" in summary(found)
     assert '# kind = "current"' in model_text(found, "")
@@ -109,7 +133,11 @@ def test_a_setpoint_is_no_output_and_a_counter_no_input(tmp_path):
         return np.arange(len(t)), 9 + RNG.random(len(t)), t, np.round(y), y, u
 
     found = propose(plain(tmp_path, "index,cycle time [ms],time,angle_ref,angle,torque", more))
-    assert [each.column.column for each in (found.time, found.input, found.output)] == ["time", "torque", "angle"]
+    assert [each.column.column for each in (found.time, found.input, found.output)] == [
+        "time",
+        "torque",
+        "angle",
+    ]
 
 
 def test_an_input_against_the_motion_is_turned(tmp_path):
@@ -130,7 +158,9 @@ def test_a_speed_without_its_sign_is_a_doubt(tmp_path):
 
 @pytest.mark.parametrize(("lead", "output"), [(0.003, "a"), (0.06, "angle")])
 def test_names_that_say_nothing_are_compared_by_what_they_explain(lead, output, tmp_path):
-    """A reference and the output that follows it are one quantity, so that neither is the input of the other."""
+    """A reference and the output that follows it are one quantity, so that neither is the input of
+    the other.
+    """
 
     def unnamed(t, u, y):
         return t, y, np.interp(t + lead, t, y), u
@@ -144,13 +174,22 @@ def test_names_that_say_nothing_are_compared_by_what_they_explain(lead, output, 
 @pytest.mark.parametrize(
     ("header", "scale", "unit"),
     [
-        ("t,u,y", (1.0, 1.0, 1.0), "s"), ("t,u,y", (1e3, 1.0, 1.0), "ms"), ("t,u,y", (1e6, 1.0, 1.0), "us"),
+        ("t,u,y", (1.0, 1.0, 1.0), "s"),
+        ("t,u,y", (1e3, 1.0, 1.0), "ms"),
+        ("t,u,y", (1e6, 1.0, 1.0), "us"),
         ("t,u,y", (1000.001, 1.0, 1.0), "ms"),
-        ("time (ms),u,y", (1e3, 1.0, 1.0), "ms"), ("a,u,y", (1.0, 1.0, 1.0), "s"),
+        ("time (ms),u,y", (1e3, 1.0, 1.0), "ms"),
+        ("a,u,y", (1.0, 1.0, 1.0), "s"),
     ],
-)  # fmt: skip
+)
 def test_the_unit_of_the_time(header, scale, unit, tmp_path):
-    found = propose(plain(tmp_path, header, lambda *columns: tuple(x * k for x, k in zip(columns, scale, strict=True))))
+    found = propose(
+        plain(
+            tmp_path,
+            header,
+            lambda *columns: tuple(x * k for x, k in zip(columns, scale, strict=True)),
+        )
+    )
     assert found.time.column.unit == unit
     assert found.records[0].h == pytest.approx(1e-3, rel=1e-5)
     assert any("no column is called a time" in line for line in found.doubts) == (header[0] == "a")
@@ -158,7 +197,11 @@ def test_the_unit_of_the_time(header, scale, unit, tmp_path):
 
 def test_units_that_the_user_gives(tmp_path):
     found = propose(plain(tmp_path), units={"theta": "mm", "u": "N"})
-    assert (found.output.linear, found.input.kind, found.output.column.unit) == (True, "force", "mm")
+    assert (found.output.linear, found.input.kind, found.output.column.unit) == (
+        True,
+        "force",
+        "mm",
+    )
     assert found.rough["J"].value == pytest.approx(0.01e3, rel=0.1)
     load_text = tomllib.loads(model_text(found, ""))
     assert load_text["input"]["kind"] == "force"
@@ -180,11 +223,36 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
 @pytest.mark.parametrize(
     ("header", "change", "asked", "words"),
     [
-        ("a,b,c", lambda t, u, y: (u, y, u + y), {}, "no column is likely to be the time; give it with --time COLUMN: a, b, c"),
-        ("t,torque,angle", lambda t, u, y: (t % 1.0, u, y), {}, "to be the time: 't' goes back in "),
-        ("t,torque,angle", lambda t, u, y: (np.floor(100 * t), u, y), {}, "to be the time: 't' repeats "),
-        ("t,speed,angle", lambda t, u, y: (t, y, y), {}, "no column is likely to be the input; give it with --input COLUMN"),
-        ("t,torque,temp", None, {}, "no column is likely to be the output; give it with --output COLUMN"),
+        (
+            "a,b,c",
+            lambda t, u, y: (u, y, u + y),
+            {},
+            "no column is likely to be the time; give it with --time COLUMN: a, b, c",
+        ),
+        (
+            "t,torque,angle",
+            lambda t, u, y: (t % 1.0, u, y),
+            {},
+            "to be the time: 't' goes back in ",
+        ),
+        (
+            "t,torque,angle",
+            lambda t, u, y: (np.floor(100 * t), u, y),
+            {},
+            "to be the time: 't' repeats ",
+        ),
+        (
+            "t,speed,angle",
+            lambda t, u, y: (t, y, y),
+            {},
+            "no column is likely to be the input; give it with --input COLUMN",
+        ),
+        (
+            "t,torque,temp",
+            None,
+            {},
+            "no column is likely to be the output; give it with --output COLUMN",
+        ),
         (
             "t,torque,angle",
             None,
@@ -192,8 +260,18 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
             "input 'torq': is no column of numbers in every file (did you mean 'torque'?)",
         ),
         ("t,torque,angle", None, {"input": "t"}, "input 't': is another role's already"),
-        ("t,torque,angle", lambda t, u, y: (t, u, 0 * y + np.sin(t) * 1e-12), {}, "give the right units of the columns"),
-        ("t,torque,angle", lambda t, u, y: (t, u, RNG.standard_normal(len(t))), {}, "nothing moves"),
+        (
+            "t,torque,angle",
+            lambda t, u, y: (t, u, 0 * y + np.sin(t) * 1e-12),
+            {},
+            "give the right units of the columns",
+        ),
+        (
+            "t,torque,angle",
+            lambda t, u, y: (t, u, RNG.standard_normal(len(t))),
+            {},
+            "nothing moves",
+        ),
         ("t [s],torque,angle", lambda t, u, y: (t / 1e3, u, y), {}, "is [time] unit right"),
     ],
 )
@@ -206,7 +284,10 @@ def test_where_nothing_can_be_proposed(header, change, asked, words, tmp_path):
 
 def test_units_of_no_column_and_no_unit(tmp_path):
     path = plain(tmp_path)
-    for units, words in (({"x": "m"}, "unit of 'x': is no column"), ({"u": "furlong"}, "unit 'furlong' of 'u' is not known")):
+    for units, words in (
+        ({"x": "m"}, "unit of 'x': is no column"),
+        ({"u": "furlong"}, "unit 'furlong' of 'u' is not known"),
+    ):
         with pytest.raises(BristleError, match=words):
             propose(path, units=units)
     with pytest.raises(BristleError, match="no record is given"):
@@ -220,12 +301,20 @@ def test_the_cell_that_makes_a_column_a_text_is_named(tmp_path):
     lines = path.read_text().splitlines()
     lines[700] = lines[700].rpartition(",")[0] + ",ERR"
     path.write_text("\n".join(lines))
-    with pytest.raises(BristleError, match=r"likely to be the output: 'angle' holds text \('ERR' in line 701\)"):
+    with pytest.raises(
+        BristleError, match=r"likely to be the output: 'angle' holds text \('ERR' in line 701\)"
+    ):
         propose(path)
 
 
 def test_files_of_other_columns_are_named(tmp_path):
     (tmp_path / "more").mkdir()
-    paths = [plain(tmp_path, "t,torque,angle"), plain(tmp_path / "more", "t,torque,winkel", lambda t, u, y: (t, y, u))]
-    with pytest.raises(BristleError, match=r"likely to be the output.*: torque; not in every file, .*: angle, winkel"):
+    paths = [
+        plain(tmp_path, "t,torque,angle"),
+        plain(tmp_path / "more", "t,torque,winkel", lambda t, u, y: (t, y, u)),
+    ]
+    with pytest.raises(
+        BristleError,
+        match=r"likely to be the output.*: torque; not in every file, .*: angle, winkel",
+    ):
         propose(paths)

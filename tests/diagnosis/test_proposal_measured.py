@@ -13,7 +13,8 @@ from bristle.diagnosis.proposal_text import write_model
 
 DATA = Path(os.environ.get("BRISTLE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 FORCE_PER_VOLT = 35.1507  # N/V, of the drive of EMPS
-PUBLISHED = {"J": 95.1089, "a2": 203.5034, "Fc": 20.3935}  # of EMPS, by its authors' inverse dynamic model
+# of EMPS, by its authors' inverse dynamic model
+PUBLISHED = {"J": 95.1089, "a2": 203.5034, "Fc": 20.3935}
 
 
 @pytest.fixture
@@ -28,7 +29,9 @@ def chosen(found):
 
 
 def test_emps(data, tmp_path):
-    """Names that say nothing: the reference qg, the position qm and the drive's voltage vir; the unit alone is given."""
+    """Names that say nothing: the reference qg, the position qm and the drive's voltage vir; the
+    unit alone is given.
+    """
     found = propose(data / "emps" / "DATA_EMPS.mat", units={"qm": "m", "qg": "m"})
     assert chosen(found) == ["t", "vir", "qm"]
     assert (found.input.kind, found.output.kind) == ("voltage", "position")
@@ -51,7 +54,9 @@ def test_a_speed_without_its_sign(data):
 
 
 def test_one_direction_of_motion(data):
-    """Cogging and the drive that opposes it look like a negative inertia; the sign of the input is right for all that."""
+    """Cogging and the drive that opposes it look like a negative inertia; the sign of the input is
+    right for all that.
+    """
     found = propose(sorted((data / "laas_cogging").glob("*.csv")))
     assert chosen(found) == ["t", "u", "y"]
     assert found.input.column.scale is None
@@ -60,7 +65,10 @@ def test_one_direction_of_motion(data):
 
 @pytest.mark.parametrize(
     ("folder", "columns"),
-    [("bam_go1_load", ["timestamp", "torque_demand", "position"]), ("bam_xl330_gain", ["timestamp", "load", "position"])],
+    [
+        ("bam_go1_load", ["timestamp", "torque_demand", "position"]),
+        ("bam_xl330_gain", ["timestamp", "load", "position"]),
+    ],
 )
 def test_pendulums(folder, columns, data, tmp_path):
     paths = []

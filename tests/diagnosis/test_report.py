@@ -1,4 +1,6 @@
-"""The report says what the diagnosis says, to a person, in the units of the rig, and in one file."""
+"""The report says what the diagnosis says, to a person, in the units of the rig, and in one
+file.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,15 @@ from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.report.figures import captions, draw, view_axis, worst_part
 from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
 from bristle.diagnosis.report.html import interval, render
-from bristle.diagnosis.report.result import Estimate, Gap, HorizonError, Named, RecordError, Trace, WholeRecords
+from bristle.diagnosis.report.result import (
+    Estimate,
+    Gap,
+    HorizonError,
+    Named,
+    RecordError,
+    Trace,
+    WholeRecords,
+)
 from bristle.diagnosis.report.text import (
     NATS,
     Facts,
@@ -73,7 +83,9 @@ def page_of(diagnosis, **more):
 
 
 def svg_texts(svg):
-    """Return the texts of a figure, which matplotlib draws as curves with the text beside them as a comment."""
+    """Return the texts of a figure, which matplotlib draws as curves with the text beside them as a
+    comment.
+    """
     return re.findall(r"<!-- (.*?) -->", svg)
 
 
@@ -82,7 +94,12 @@ def test_every_verdict_makes_one_self_contained_page(answer, case):
     diagnosis = answer(case)
     page = render(diagnosis, draw(diagnosis), {})
     text = text_of(page)
-    for line in (*diagnosis.statement, *diagnosis.findings, *diagnosis.proposals, diagnosis.experiment):
+    for line in (
+        *diagnosis.statement,
+        *diagnosis.findings,
+        *diagnosis.proposals,
+        diagnosis.experiment,
+    ):
         assert line in text
     assert page.count("<img") == len(draw(diagnosis)) >= 2
     assert len(page.encode()) <= MOST_BYTES
@@ -129,11 +146,16 @@ def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     none = answer("none")
     unknown = replace(none, gap=replace(none.gap, noise_floor=None))
     [line] = statement(Facts("none", unknown.gap, unknown.remains))[1:2]
-    assert line.endswith("disturbance and sensor noise alone account for less; how much less is not known.")
+    assert line.endswith(
+        "disturbance and sensor noise alone account for less; how much less is not known."
+    )
     assert not any("floor" in text for text in svg_texts(draw(unknown)["gap"]))
     quiet = replace(none, remains=Unexplained(False, None, 0.0))
     assert "noise floor 0.0181 deg" in [text.strip() for text in svg_texts(draw(quiet)["gap"])]
-    assert "The noise floor, which disturbance and sensor noise alone would leave, is not known." in text_of(page_of(unknown))
+    assert (
+        "The noise floor, which disturbance and sensor noise alone would leave, is not known."
+        in text_of(page_of(unknown))
+    )
 
 
 @pytest.mark.parametrize("case", ["named", "tie", "none", "not_identifiable"])
@@ -164,23 +186,44 @@ def test_nats_are_explained_where_they_first_stand(answer, case):
 def test_what_remains_is_what_the_table_above_it_says(answer):
     named = answer("named")
     noisy = replace(named.where[1], view="du", share_after=0.08, p_after=0.001)
-    text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Unexplained(False, "history", 0.04))))
-    assert "Nothing that matters: rate of the input predicts 8 % of the residual that is left" in text
-    assert "no motion variable predicts more of the residual than chance does" in text_of(page_of(named))
+    text = text_of(
+        page_of(
+            replace(
+                named, where=(named.where[0], noisy), remains=Unexplained(False, "history", 0.04)
+            )
+        )
+    )
+    assert (
+        "Nothing that matters: rate of the input predicts 8 % of the residual that is left" in text
+    )
+    assert "no motion variable predicts more of the residual than chance does" in text_of(
+        page_of(named)
+    )
 
 
 def test_what_is_predicted_is_not_taken_for_noise(answer):
-    """A quarter of the residual is too little beside the effect to be reported, and too much to be called noise or nothing."""
+    """A quarter of the residual is too little beside the effect to be reported, and too much to be
+    called noise or nothing.
+    """
     named = answer("named")
     gap = replace(named.gap, noise_floor=named.gap.after)
     part = replace(named.where[1], view="theta x u", share_after=0.25, p_after=0.001)
     left = Unexplained(False, "theta x u", 0.25)
     text = text_of(page_of(replace(named, gap=gap, where=(named.where[0], part), remains=left)))
     assert "Nothing that matters" not in text
-    assert "Small beside what was explained, but more than chance: position × input predicts 25 %" in text
+    assert (
+        "Small beside what was explained, but more than chance: position × input predicts 25 %"
+        in text
+    )
     assert "down to what disturbance and sensor noise alone account for" not in text
-    assert any("account for at most as much" in line for line in statement(Facts("named", gap, left, named.effects)))
-    assert any("account for as much" in line for line in statement(Facts("named", gap, replace(left, share=0.1), named.effects)))
+    assert any(
+        "account for at most as much" in line
+        for line in statement(Facts("named", gap, left, named.effects))
+    )
+    assert any(
+        "account for as much" in line
+        for line in statement(Facts("named", gap, replace(left, share=0.1), named.effects))
+    )
 
 
 def test_a_model_that_is_worse_over_whole_records_is_not_enough(answer):
@@ -191,10 +234,14 @@ def test_a_model_that_is_worse_over_whole_records_is_not_enough(answer):
     worse = replace(better, horizons=(replace(last, after=2.0),))
     assert mark(replace(named, whole=better))[0] == "good"
     assert mark(replace(named, whole=worse))[0] == "open"
-    assert headline(replace(named, whole=worse)) == f"{NOT_ENOUGH}: {headline(named).removeprefix('The model lacks: ')}"
+    assert (
+        headline(replace(named, whole=worse))
+        == f"{NOT_ENOUGH}: {headline(named).removeprefix('The model lacks: ')}"
+    )
     assert "worse than without what was found" in open_loop_line(worse, 0.4)
     assert "worse" not in open_loop_line(better, 0.4)
-    little = replace(better, horizons=(replace(last, after=1.05),))  # less than an effect must lower the error by
+    # less than an effect must lower the error by
+    little = replace(better, horizons=(replace(last, after=1.05),))
     assert mark(replace(named, whole=little))[0] == "good"
 
 
@@ -207,58 +254,92 @@ def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
     assert mark(named)[0] == "good"
     assert mark(replace(named, effects=(unknown,)))[0] == "open"
     assert headline(replace(named, effects=(unknown,))).startswith(NOT_ENOUGH)
-    line = "The strength of cogging torque (cogging) is not known to within 50 %: it may stand in for something else."
+    line = (
+        "The strength of cogging torque (cogging) is not known to within 50 %: it may stand in for"
+        " something else."
+    )
     assert line in statement(Facts("named", named.gap, named.remains, (unknown,)))
     assert line not in statement(Facts("named", named.gap, named.remains, (effect,)))
-    place = replace(effect, parameters={**effect.parameters, "phase": replace(wide, value=0.1, ci95=(-0.5, 0.7))})
+    place = replace(
+        effect,
+        parameters={**effect.parameters, "phase": replace(wide, value=0.1, ci95=(-0.5, 0.7))},
+    )
     assert mark(replace(named, effects=(place,)))[0] == "good"  # a phase is no strength
-    stuck = replace(effect, parameters={**effect.parameters, "amplitude": replace(strength, at_bound=True)})
+    stuck = replace(
+        effect, parameters={**effect.parameters, "amplitude": replace(strength, at_bound=True)}
+    )
     assert mark(replace(named, effects=(stuck,)))[0] == "open"
     loose = replace(effect, name="backlash", parameters={"share": strength, "play": wide})
     assert mark(replace(named, effects=(loose,)))[0] == "open"
-    line = "The play of free play in the coupling (backlash) is not known to within 50 %: it may stand in for something else."
+    line = (
+        "The play of free play in the coupling (backlash) is not known to within 50 %: it may stand"
+        " in for something else."
+    )
     assert line in statement(Facts("named", named.gap, named.remains, (loose,)))
 
 
 @pytest.mark.parametrize(
     ("end", "said"),
-    [(0.0, "The refit of a2 ends at 0: these records show none of it."), (0.2, "The refit of a2 ends at a bound: widen")],
+    [
+        (0.0, "The refit of a2 ends at 0: these records show none of it."),
+        (0.2, "The refit of a2 ends at a bound: widen"),
+    ],
 )
 def test_a_parameter_that_ends_at_0_is_absent_and_no_bound_to_widen(answer, end, said):
     named = answer("named")
     stuck = {"a2": Estimate(end, "1", None, True)}
-    [line] = [line for line in statement(Facts("named", named.gap, named.remains, (), parameters=stuck)) if "a2" in line]
+    [line] = [
+        line
+        for line in statement(Facts("named", named.gap, named.remains, (), parameters=stuck))
+        if "a2" in line
+    ]
     assert line.startswith(said)
 
 
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
     tie, left = answer("tie"), Unexplained(True, "theta", 0.54)
-    without = "Unexplained residual: 54 % of the residual can be predicted from position, with none of the tied effects added."
+    without = (
+        "Unexplained residual: 54 % of the residual can be predicted from position, with none of"
+        " the tied effects added."
+    )
     assert without in statement(Facts("tie", tie.gap, left, ties=tie.ties))
     assert without in statement(Facts("not_identifiable", tie.gap, left, ties=tie.ties))
     assert "with none of the tied effects added" in text_of(page_of(replace(tie, remains=left)))
     named = answer("named")
     after = statement(Facts("named", named.gap, left, named.effects, tie.ties))
-    assert any(line.endswith("from position, and no effect that was tried explains it.") for line in after)
+    assert any(
+        line.endswith("from position, and no effect that was tried explains it.") for line in after
+    )
 
 
 def test_a_tone_is_reported_with_its_frequency_and_an_experiment(answer):
     tone = Unexplained(True, "tone", 0.9, 0.0, "3 Hz")
     facts = Facts("none", answer("none").gap, tone)
-    assert "90 % of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(statement(facts))
+    assert "90 % of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(
+        statement(facts)
+    )
     assert "oscillation in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
     assert "with the input at zero" in experiment(facts)
     assert "with the input at zero" not in experiment(replace(facts, ties=(("bias", "gravity"),)))
     few = Unexplained(True, OUTLIERS, 0.7, 0.0, "16 of 180 segments, the worst at 1.4 s")
     said = " ".join(statement(replace(facts, remains=few)))
-    assert "70 % of the residual's power is in segments with a large error (16 of 180 segments, the worst at 1.4 s)" in said
+    assert (
+        "70 % of the residual's power is in segments with a large error (16 of 180 segments, the"
+        " worst at 1.4 s)" in said
+    )
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
     first, second = answer("named").where
     burst = replace(first, view=OUTLIERS, label="3 of 75 segments, the worst at 0.5 s", share=0.99)
-    text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
-    assert text.index("segments with a large error (3 of 75 segments") < text.index("velocity 5 %") < text.index("position 100 %")
+    text = text_of(
+        page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst)))
+    )
+    assert (
+        text.index("segments with a large error (3 of 75 segments")
+        < text.index("velocity 5 %")
+        < text.index("position 100 %")
+    )
 
 
 def test_a_record_may_have_any_name(answer, recwarn):
@@ -269,15 +350,21 @@ def test_a_record_may_have_any_name(answer, recwarn):
 
 def test_a_name_that_stands_for_its_class_says_so(answer):
     named = replace(answer("named"), ties=(("cogging", "gravity"),))
-    assert "The model lacks: cogging torque or gravity on an unbalanced mass named" in text_of(page_of(named))
+    assert "The model lacks: cogging torque or gravity on an unbalanced mass named" in text_of(
+        page_of(named)
+    )
     lines = statement(Facts("named", named.gap, named.remains, named.effects, named.ties))
-    assert lines[1].endswith("from gravity on an unbalanced mass (gravity), which fits equally well.")
+    assert lines[1].endswith(
+        "from gravity on an unbalanced mass (gravity), which fits equally well."
+    )
 
 
 def test_tied_effects_are_red_whatever_the_verdict(answer):
     named = answer("named")
     assert OTHER.lower() not in draw(named)["candidates"].lower()
-    assert OTHER.lower() in draw(replace(named, ties=(("cogging", "gravity"),)))["candidates"].lower()
+    assert (
+        OTHER.lower() in draw(replace(named, ties=(("cogging", "gravity"),)))["candidates"].lower()
+    )
     assert OTHER.lower() in draw(answer("tie"))["candidates"].lower()
 
 
@@ -341,7 +428,10 @@ def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
     assert "error, mm" in texts
     assert view_axis(diagnosis.model, "theta") == (1e3, "position, mm")
     assert view_axis(diagnosis.model, "u") == (1.0, "input, N")
-    assert view_axis(diagnosis.model, "theta", 0.0032) == (1e3, "position within one period of 3.2 mm, mm")
+    assert view_axis(diagnosis.model, "theta", 0.0032) == (
+        1e3,
+        "position within one period of 3.2 mm, mm",
+    )
 
 
 def test_a_turning_axis_reads_in_degrees(answer):
@@ -353,7 +443,9 @@ def test_a_turning_axis_reads_in_degrees(answer):
 
 def test_the_axis_of_what_repeats_says_how_long_a_period_is(fabricated):
     turning = fabricated.model()
-    assert view_axis(turning, "theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
+    assert (
+        view_axis(turning, "theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
+    )
     assert view_axis(turning, "theta", 2 * math.pi)[1] == "position within a turn, deg"
     assert view_axis(turning, "tone", 0.3891)[1] == "time within one period of 0.389 s, s"
     assert view_axis(turning, "tone")[1] == "time, s"
@@ -361,9 +453,16 @@ def test_the_axis_of_what_repeats_says_how_long_a_period_is(fabricated):
 
 def test_the_units_follow_the_input(answer, fabricated):
     driven = fabricated.model(
-        parameters={"J": 0.01, "a2": 0.02, "b": 0.5, "Fc": 0.1}, input={"column": "i", "kind": "current", "unit": "A"}
+        parameters={"J": 0.01, "a2": 0.02, "b": 0.5, "Fc": 0.1},
+        input={"column": "i", "kind": "current", "unit": "A"},
     )
-    zone = Named("dead_zone", "dead_zone", {"width": Estimate(0.3, driven.unit("dead_zone.width"), (0.28, 0.32))}, 50.0, 0.001)
+    zone = Named(
+        "dead_zone",
+        "dead_zone",
+        {"width": Estimate(0.3, driven.unit("dead_zone.width"), (0.28, 0.32))},
+        50.0,
+        0.001,
+    )
     text = text_of(page_of(replace(answer("named"), model=driven, effects=(zone,))))
     assert "0.300 ± 0.020 A" in text
 
@@ -371,7 +470,11 @@ def test_the_units_follow_the_input(answer, fabricated):
 def test_only_what_changed_has_a_before_and_an_after(answer):
     assert "after: 0.019 deg (0.000332 rad)" in svg_texts(draw(answer("named"))["gap"])
     for case in ("none", "not_identifiable"):
-        assert not any(text.startswith(("after", "before")) for svg in draw(answer(case)).values() for text in svg_texts(svg))
+        assert not any(
+            text.startswith(("after", "before"))
+            for svg in draw(answer(case)).values()
+            for text in svg_texts(svg)
+        )
 
 
 def test_bars_show_the_level_of_chance_and_the_best_first(answer):
@@ -389,15 +492,28 @@ def test_the_unit_of_a_squared_error_is_read_in_one_way_only(output, squared):
 
 def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
     named = answer("named")
-    refused = replace(named.rounds[0].candidates[-1], gain=math.nan, note="effects 'backlash' and 'compliance' " + 9 * "a load ")
+    refused = replace(
+        named.rounds[0].candidates[-1],
+        gain=math.nan,
+        note="effects 'backlash' and 'compliance' " + 9 * "a load ",
+    )
     rounds = (replace(named.rounds[0], candidates=(*named.rounds[0].candidates[:1], refused)),)
-    [text] = [text for text in svg_texts(draw(replace(named, rounds=rounds))["candidates"]) if "not tried" in text]
+    [text] = [
+        text
+        for text in svg_texts(draw(replace(named, rounds=rounds))["candidates"])
+        if "not tried" in text
+    ]
     assert text.startswith("not tried  (effects 'backlash'")
     assert text.endswith("…)")
 
 
 def test_a_name_from_outside_cannot_become_markup(answer):
-    bad = replace(answer("named"), findings=("<script>alert(1)</script>",), statement=("a < b",), undetected={"<b>": "&"})
+    bad = replace(
+        answer("named"),
+        findings=("<script>alert(1)</script>",),
+        statement=("a < b",),
+        undetected={"<b>": "&"},
+    )
     page = page_of(bad)
     assert "<script>" not in page
     assert "a &lt; b" in page
@@ -409,10 +525,14 @@ def test_figures_are_the_same_every_time(answer):
 
 def test_small_torques_are_given_in_thousandths(answer):
     named = answer("named")
-    small = tuple(replace(view, before=0.1 * view.before, after=0.1 * view.after) for view in named.where)
+    small = tuple(
+        replace(view, before=0.1 * view.before, after=0.1 * view.after) for view in named.where
+    )
     texts = svg_texts(draw(replace(named, where=small))["maps"])
     assert "residual torque, 10⁻³ N·m" in texts
-    assert not any(len(text) > 5 and text.replace("−", "").replace(".", "").isdigit() for text in texts)
+    assert not any(
+        len(text) > 5 and text.replace("−", "").replace(".", "").isdigit() for text in texts
+    )
 
 
 def test_the_overlay_shows_where_it_was_worst():
@@ -435,7 +555,13 @@ def test_the_overlay_shows_where_it_was_worst():
 
 def test_a_record_shorter_than_the_window_is_shown_whole(answer):
     trace = answer("named").traces[0]
-    short = replace(trace, **{k: getattr(trace, k)[:300] for k in ("time", "input", "measured", "before", "after", "held_out")})
+    short = replace(
+        trace,
+        **{
+            k: getattr(trace, k)[:300]
+            for k in ("time", "input", "measured", "before", "after", "held_out")
+        },
+    )
     found = worst_part([short])
     assert found is not None
     assert found[1] == slice(0, 300)
@@ -470,7 +596,10 @@ def test_an_interval_has_two_figures(value, low, high, expected):
         (Estimate(123456.0, "1", (123356.0, 123556.0)), "1.2346e5 (1.2336e5 to 1.2356e5)"),
         (Estimate(0.3, "1", None), "0.3 (uncertain)"),
         (Estimate(123456.0, "1", (0.0, 1.38e8)), "0.01e7 (0.00e7 to 13.80e7)"),
-        (Estimate(250.0, "rad/m", (248.0, 252.0)), "250.0 rad/m (248.0 to 252.0), a period of 25.133 mm"),
+        (
+            Estimate(250.0, "rad/m", (248.0, 252.0)),
+            "250.0 rad/m (248.0 to 252.0), a period of 25.133 mm",
+        ),
     ],
 )
 def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expected):
@@ -490,9 +619,18 @@ def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
 
 
 def test_words_are_those_of_the_axis_and_of_its_input():
-    bias = Named("bias", "bias", {"torque": Estimate(0.06, "N", (0.05, 0.07), at_bound=True)}, 9.0, 0.001)
+    bias = Named(
+        "bias", "bias", {"torque": Estimate(0.06, "N", (0.05, 0.07), at_bound=True)}, 9.0, 0.001
+    )
     gap, left = Gap(2.0, 1.0, 0.5, "m"), Unexplained(True, None, 0.4, 0.6)
-    facts = Facts("named", gap, left, [bias], [("bias", "asymmetric_coulomb")], {"bias.torque": bias.parameters["torque"]})
+    facts = Facts(
+        "named",
+        gap,
+        left,
+        [bias],
+        [("bias", "asymmetric_coulomb")],
+        {"bias.torque": bias.parameters["torque"]},
+    )
     turning = " ".join(statement(facts)) + experiment(facts)
     assert "Missing: constant torque (bias). " in turning
     assert "60 % of the torque of the input" in turning
@@ -500,11 +638,16 @@ def test_words_are_those_of_the_axis_and_of_its_input():
     facts = replace(facts, wording=Wording(linear=True, input_kind="force"))
     linear = " ".join(statement(facts)) + experiment(facts)
     assert re.findall(r"\S*torque", linear) == ["torque", "bias.torque"]  # names of parameters
-    assert effect("back_emf", Wording(input_kind="current")).description == "current that the turning motor takes from the drive"
+    assert (
+        effect("back_emf", Wording(input_kind="current")).description
+        == "current that the turning motor takes from the drive"
+    )
 
 
 def test_what_was_not_found_is_not_said_to_need_what_the_records_have(fabricated):
-    [found] = detection_limits([Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0)
+    [found] = detection_limits(
+        [Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0
+    )
     assert undetected([found], fabricated.model()) == {
         "backlash": "tried; the likelihood gain does not exceed chance; what shows it: reversals"
     }

@@ -1,4 +1,6 @@
-"""Views of the residual: a residual that depends on one is located there with its share; noise is located nowhere."""
+"""Views of the residual: a residual that depends on one is located there with its share; noise is
+located nowhere.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +33,31 @@ def plain(case):
 
 
 def seen_through(plain, torque=None, seed=3):
-    """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its power in the output."""
+    """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its
+    power in the output.
+    """
     dataset, response = plain.dataset, copy(ResidualResponse(plain.base, plain.dataset))
     noise = np.random.default_rng(seed).standard_normal(response.rest.shape)
     response.rest = response.freed(noise[:, :, None])[:, :, 0]
     rough, live, expected = np.zeros(response.rest.shape), np.flatnonzero(response.weight > 0), 0.0
     if torque is not None:
         made = response.free_of_model(response.through(torque[:, None]))[:, :, 0]
-        power = [float(np.einsum("s,sn,sn->", response.weight, each, each)) for each in (response.rest, made)]
+        power = [
+            float(np.einsum("s,sn,sn->", response.weight, each, each))
+            for each in (response.rest, made)
+        ]
         size = np.sqrt(SHARE / (1 - SHARE) * power[0] / power[1])
         response.rest = response.rest + size * made
-        shown = [np.square(response.plain(each[live][:, :, None], live)).sum() for each in (size * made, response.rest)]
+        shown = [
+            np.square(response.plain(each[live][:, :, None], live)).sum()
+            for each in (size * made, response.rest)
+        ]
         expected = shown[0] / shown[1]
-        rough = size * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2) * (response.weight > 0)[:, None]
+        rough = (
+            size
+            * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2)
+            * (response.weight > 0)[:, None]
+        )
     return shares(response, dataset.motion, dataset.segments.h, dataset.resolution, rough), expected
 
 
@@ -61,8 +75,11 @@ def test_what_follows_a_view_is_found_there(plain, view):
 
 
 def test_noise_follows_nothing(plain):
-    smallest = np.array([min(each.p for each in seen_through(plain, seed=seed)[0]) for seed in range(20)])
-    assert np.sum(smallest <= 0.1) <= 5  # the p of the strongest of all views: one in ten is that small
+    smallest = np.array(
+        [min(each.p for each in seen_through(plain, seed=seed)[0]) for seed in range(20)]
+    )
+    # the p of the strongest of all views: one in ten is that small
+    assert np.sum(smallest <= 0.1) <= 5
     assert np.sum(smallest <= 0.5) >= 4
 
 
@@ -72,7 +89,13 @@ def test_outlier_segments_are_recognised(plain):
     live = np.flatnonzero(response.weight > 0)
     noise[live[[2, 9, 17]]] *= 30
     response.rest = response.freed(noise[:, :, None])[:, :, 0]
-    found = shares(response, m, plain.dataset.segments.h, plain.dataset.resolution, np.zeros(response.rest.shape))
+    found = shares(
+        response,
+        m,
+        plain.dataset.segments.h,
+        plain.dataset.resolution,
+        np.zeros(response.rest.shape),
+    )
     found.reverse()  # they come last
     assert found[0].view == OUTLIERS
     assert found[0].share > 0.9
@@ -102,7 +125,8 @@ def test_a_stop_is_elastic_then_slides_and_knows_no_other_record():
     np.testing.assert_allclose(found[:4], [0.0, 0.4, 0.8, 1.0])
     assert np.all(found[3:11] == 1.0)
     np.testing.assert_allclose(found[11:14], [0.6, 0.2, -0.2], atol=1e-12)
-    np.testing.assert_allclose(found[14:], [-0.2, 0.0], atol=1e-12)  # from record to record nothing bends
+    # from record to record nothing bends
+    np.testing.assert_allclose(found[14:], [-0.2, 0.0], atol=1e-12)
 
 
 def test_a_map_shows_both_ways_of_going(plain):
@@ -113,8 +137,12 @@ def test_a_map_shows_both_ways_of_going(plain):
     forward, backward = np.asarray(drawn["before"])
     known = np.isfinite(forward) & np.isfinite(backward)
     assert np.sum(known) > 20
-    np.testing.assert_allclose(forward[known], np.sin(np.asarray(drawn["centres"]))[known], atol=0.1)
-    np.testing.assert_allclose(backward[known], -np.sin(np.asarray(drawn["centres"]))[known], atol=0.1)
+    np.testing.assert_allclose(
+        forward[known], np.sin(np.asarray(drawn["centres"]))[known], atol=0.1
+    )
+    np.testing.assert_allclose(
+        backward[known], -np.sin(np.asarray(drawn["centres"]))[known], atol=0.1
+    )
     assert np.nanmax(np.abs(np.asarray(drawn["after"]))) == 0.0
     assert residual_map("v", m, torque, torque)["lines"] == ()
 
@@ -135,8 +163,11 @@ def test_a_wave_is_drawn_over_one_period_and_as_high_as_it_is(plain, view):
     assert drawn["period"] == period
     np.testing.assert_allclose(drawn["centres"][[0, -1]], [0.0, period])
     for line, sign in zip(drawn["before"], (1, -1), strict=False):
-        near = 0.025 if view == "tone" else 0.008  # of a tone one record is drawn, half of what there is
-        np.testing.assert_allclose(line, sign * 0.06 * np.sin(2 * np.pi / period * drawn["centres"] + 0.4), atol=near)
+        # of a tone one record is drawn, half of what there is
+        near = 0.025 if view == "tone" else 0.008
+        np.testing.assert_allclose(
+            line, sign * 0.06 * np.sin(2 * np.pi / period * drawn["centres"] + 0.4), atol=near
+        )
     assert np.abs(drawn["after"]).max() == 0.0
 
 
@@ -155,4 +186,6 @@ def test_a_tone_is_drawn_from_the_record_that_has_it(plain):
     torque = np.where(m.record == 1, 0.06 * np.sin(2 * np.pi * 6.3 * m.time + 0.4), 0.0)
     drawn = wave_map("tone", m, through(plain, torque), through(plain, 0 * torque), period)
     assert drawn["lines"] == ("record 2",)
-    np.testing.assert_allclose(drawn["before"][0], 0.06 * np.sin(2 * np.pi * 6.3 * drawn["centres"] + 0.4), atol=0.008)
+    np.testing.assert_allclose(
+        drawn["before"][0], 0.06 * np.sin(2 * np.pi * 6.3 * drawn["centres"] + 0.4), atol=0.008
+    )

@@ -1,4 +1,6 @@
-"""How many effects are tried at a time changes no digit; a time budget ends the search, and the answer says what is missing."""
+"""How many effects are tried at a time changes no digit; a time budget ends the search, and the
+answer says what is missing.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,12 @@ def found(model: Model, measured: Any, options: SearchOptions, progress: Any = N
 def numbers(answer: Diagnosis) -> list[float]:
     """Return every likelihood gain and every estimate."""
     gains = [c.gain for r in answer.rounds for c in r.candidates if c.gain is not None]
-    return [*gains, *(e.value for e in answer.base.values()), *(e.value for e in answer.parameters.values()), answer.gap.before]
+    return [
+        *gains,
+        *(e.value for e in answer.base.values()),
+        *(e.value for e in answer.parameters.values()),
+        answer.gap.before,
+    ]
 
 
 @pytest.mark.usefixtures("few")
@@ -42,15 +49,24 @@ def test_the_answer_is_the_same_for_any_number_of_jobs(model: Model, measured: A
 
 
 @pytest.mark.slow
-def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(model: Model, measured: Any) -> None:
-    """With none left from the start, nothing can be named, and nothing is said to be missing or not."""
+def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
+    model: Model, measured: Any
+) -> None:
+    """With none left from the start, nothing can be named, and nothing is said to be missing or
+    not.
+    """
     answer = found(model, measured, SearchOptions(budget=1e-3))
     assert answer.verdict == "not_identifiable"
     [line] = [each for each in answer.findings if "time budget" in each]
     assert line.startswith(
-        "the time budget of 0.001 s was used up: effects not tried to the end in the last round: asymmetric_coulomb, "
+        "the time budget of 0.001 s was used up: effects not tried to the end in the last round:"
+        " asymmetric_coulomb, "
     )
-    later = ("parameters were not refitted to whole records", "no unnamed torque", "records were not compared for their parameters")
+    later = (
+        "parameters were not refitted to whole records",
+        "no unnamed torque",
+        "records were not compared for their parameters",
+    )
     assert line.endswith("; ".join([*later, "no input of a further record"]))
     assert any("before 26 effects were tried" in each for each in answer.statement)
     assert not answer.effects
@@ -68,8 +84,12 @@ class Ticks:
 
 
 @pytest.mark.slow
-def test_what_is_being_tried_ends_with_the_budget(model: Model, measured: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each simulation of the search reads the clock: a budget in a clock's readings is kept wherever it ends."""
+def test_what_is_being_tried_ends_with_the_budget(
+    model: Model, measured: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each simulation of the search reads the clock: a budget in a clock's readings is kept
+    wherever it ends.
+    """
     clock = Ticks()
     monkeypatch.setattr(time, "perf_counter", clock)
     whole = found(model, measured, SearchOptions(jobs=1, budget=1e9))
@@ -80,7 +100,8 @@ def test_what_is_being_tried_ends_with_the_budget(model: Model, measured: Any, m
         clock.now = 0.0
         cut = found(model, measured, SearchOptions(jobs=1, budget=share * needed))
         assert clock.now < 1.2 * share * needed
-        enough = share * SEARCH_SHARE > 0.9  # for the whole search; an effect is the best one only of those that were tried
+        # for the whole search; an effect is the best one only of those that were tried
+        enough = share * SEARCH_SHARE > 0.9
         assert [e.name for e in cut.effects] == ([e.name for e in whole.effects] if enough else [])
     assert cut.verdict in (["named"] if enough else ["not_identifiable", "tie"])
     assert enough or any("not tried to the end in the last round" in each for each in cut.findings)
@@ -100,7 +121,11 @@ def test_a_deadline_holds_in_threads_and_ends_with_its_block() -> None:
 
 
 def test_a_budget_is_a_time_above_zero() -> None:
-    assert search_options(0, "60s") == search_options(0, "1 min") == replace(SearchOptions(), budget=60.0)
+    assert (
+        search_options(0, "60s")
+        == search_options(0, "1 min")
+        == replace(SearchOptions(), budget=60.0)
+    )
     assert search_options(2, None) == SearchOptions(jobs=2)
     for wrong in ("60", "0 s", "-5s", "fast", "3 rad"):
         with pytest.raises(BristleError, match=r"^--budget"):

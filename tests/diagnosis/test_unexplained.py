@@ -1,4 +1,6 @@
-"""The unexplained residual: no flag for a small one or for the form of a named effect, but one for a wave that is left."""
+"""The unexplained residual: no flag for a small one or for the form of a named effect, but one for
+a wave that is left.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def test_a_certain_and_large_share_is_reported_in_any_view():
     assert said(Share("history", 0.5, 0.001), "gravity").view == "history"
 
 
-@pytest.mark.parametrize("share", [Share("history", 0.5, 0.05), Share("history", 0.04, 0.001), Share("du", 0.9, 0.001)])
+@pytest.mark.parametrize(
+    "share", [Share("history", 0.5, 0.05), Share("history", 0.04, 0.001), Share("du", 0.9, 0.001)]
+)
 def test_an_uncertain_small_or_sensor_share_is_not_reported(share):
     assert not said(share).flag
 
@@ -57,7 +61,8 @@ def test_what_is_left_of_a_gap_that_was_closed_is_small():
     closed = Gap(2.0, 0.05, 0.05, "rad")
     assert not said(Share("history", 0.5, 0.001), "gravity", gap=closed).flag
     assert not said(Share("tone", 0.25, 0.001), "gravity", gap=closed).flag
-    tone = said(Share("tone", 0.9, 0.001, label="3 Hz"), "gravity", gap=closed)  # which is no form of any effect
+    # which is no form of any effect
+    tone = said(Share("tone", 0.9, 0.001, label="3 Hz"), "gravity", gap=closed)
     assert (tone.flag, tone.view, tone.label) == (True, "tone", "3 Hz")
     assert said(Share("history", 0.5, 0.001), "gravity").flag
 
@@ -65,20 +70,25 @@ def test_what_is_left_of_a_gap_that_was_closed_is_small():
 def test_an_effect_that_does_not_lower_the_held_out_error_leaves_a_flag():
     vain = Gap(2.0, 2.1, 0.1, "rad")
     assert said(Share("history", 0.1, 0.5), "gravity", gap=vain).flag
-    assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag  # may act in none of those segments
+    # may act in none of those segments
+    assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag
     assert not said(Share("history", 0.1, 0.5), gap=vain).flag
 
 
 def test_a_multiple_of_the_named_wave_is_its_form():
     for times, flag in ((2, False), (3, False), (2.5, True), (7, True)):
-        assert said(Share("theta x a", 0.9, 0.001, periods=times), "eccentric_encoder").flag is flag, times
+        assert (
+            said(Share("theta x a", 0.9, 0.001, periods=times), "eccentric_encoder").flag is flag
+        ), times
 
 
 def test_the_named_wave_itself_is_reported_on_less_evidence():
     weak = {"share": 0.4, "p": 0.2, "alone": 0.02}
     assert said(Share("theta x a", **weak, periods=1.0), "eccentric_encoder").flag
     assert not said(Share("theta x a", **weak, periods=5.0), "eccentric_encoder").flag
-    assert not said(Share("theta x a", **weak | {"alone": 0.2}, periods=1.0), "eccentric_encoder").flag
+    assert not said(
+        Share("theta x a", **weak | {"alone": 0.2}, periods=1.0), "eccentric_encoder"
+    ).flag
 
 
 def test_waves_are_counted_along_the_path_that_a_motion_repeats_after():

@@ -1,4 +1,6 @@
-"""What nothing in the catalogue explains: fitted as a function of one variable, offered where it helps, written as what it is."""
+"""What nothing in the catalogue explains: fitted as a function of one variable, offered where it
+helps, written as what it is.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ LEFT = Unexplained(True, "v", 0.6)
 
 
 def simulated(seed, missing):
-    """Return input and position of a servo with a torque missing(v), by semi-implicit Euler with friction that sticks."""
+    """Return input and position of a servo with a torque missing(v), by semi-implicit Euler with
+    friction that sticks.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(N) * H
     waves = [(0.37, 0.18), (0.93, 0.18), (1.7, 0.18), (4.3, 0.12), (11.0, 0.06)]
@@ -57,7 +61,11 @@ def found_in(model, missing):
     dataset = dataset_of(model, records[:2])
     base = fit_with_noise(dataset, *base_servo_of(model, dataset))
     case = SimpleNamespace(model=model, dataset=dataset)
-    return unnamed_torque(case, SimpleNamespace(remains=LEFT, proposal="", final=base)), base, records[2]
+    return (
+        unnamed_torque(case, SimpleNamespace(remains=LEFT, proposal="", final=base)),
+        base,
+        records[2],
+    )
 
 
 @pytest.mark.slow
@@ -68,14 +76,19 @@ def test_a_torque_of_no_name_is_found_with_its_band_and_helps_on_another_record(
     assert curve.variable == "v"
     inside = abs(curve.places) < 0.8 * max(abs(curve.places))
     departure = (curve.values - wave(curve.places))[inside]
-    free = np.column_stack([curve.places, np.sign(curve.places)])[inside]  # what viscous and dry friction do as well
+    # what viscous and dry friction do as well
+    free = np.column_stack([curve.places, np.sign(curve.places)])[inside]
     departure -= free @ np.linalg.lstsq(free, departure, rcond=None)[0]
     assert np.sqrt(np.mean(departure**2)) < 0.01
     assert found.after < 0.25 * found.before
-    diagnosis = replace(answer("none"), model=model, remains=LEFT, unnamed=found, base={}, parameters={})
+    diagnosis = replace(
+        answer("none"), model=model, remains=LEFT, unnamed=found, base={}, parameters={}
+    )
     filled = augment(diagnosis, fill=True).model
     filled = replace(filled, parameters={name: found.values[name] for name in filled.parameters})
-    plain = replace(model, parameters={name: float(base.fit.values[name]) for name in model.parameters})
+    plain = replace(
+        model, parameters={name: float(base.fit.values[name]) for name in model.parameters}
+    )
     short = [validate(each, [other]).records[0].horizons[0][1] for each in (plain, filled)]
     assert short[1] < 0.5 * short[0]
 
@@ -88,9 +101,17 @@ def test_where_nothing_is_missing_nothing_is_offered(model):
 
 
 def made_up(offered=True):
-    curve = Curve("v", -6.0, 6.0, np.sin(np.linspace(-6, 6, UNNAMED_KNOTS)) * 0.03, np.full(UNNAMED_KNOTS, 0.004))
+    curve = Curve(
+        "v",
+        -6.0,
+        6.0,
+        np.sin(np.linspace(-6, 6, UNNAMED_KNOTS)) * 0.03,
+        np.full(UNNAMED_KNOTS, 0.004),
+    )
     reason = "" if offered else "it does not help"
-    return UnnamedTorque((curve,), offered, 9e-7, 3e-7 if offered else 8.5e-7, "rad", {"J": 0.0123}, reason)
+    return UnnamedTorque(
+        (curve,), offered, 9e-7, 3e-7 if offered else 8.5e-7, "rad", {"J": 0.0123}, reason
+    )
 
 
 def test_it_is_put_into_the_model_only_on_request_and_reads_back(answer):
@@ -110,7 +131,10 @@ def test_one_that_does_not_help_is_not_offered_and_says_so(answer):
     diagnosis = replace(answer("none"), unnamed=made_up(offered=False))
     assert "unnamed_torque_v" not in augment(diagnosis, fill=True).effects
     assert nothing_filled(diagnosis) == "No unnamed torque was added: it does not help."
-    assert nothing_filled(answer("named")) == "No unnamed torque was added: nothing much is unexplained."
+    assert (
+        nothing_filled(answer("named"))
+        == "No unnamed torque was added: nothing much is unexplained."
+    )
     assert "No unnamed torque is offered" in render(diagnosis, {}, {})
 
 
@@ -120,7 +144,10 @@ def test_the_report_draws_it_and_calls_it_unnamed(answer):
     assert "unnamed" in figures
     assert "unnamed" not in draw(answer("none"))
     page = render(diagnosis, figures, {})
-    assert "An unnamed torque, a smooth function of velocity, explains 67 % of the squared error" in page
+    assert (
+        "An unnamed torque, a smooth function of velocity, explains 67 % of the squared error"
+        in page
+    )
     found = diagnosis.to_dict()["unnamed_torque"]
     assert (found["offered"], len(found["functions"][0]["torque"])) == (True, UNNAMED_KNOTS)
     assert answer("none").to_dict()["unnamed_torque"] is None
@@ -128,9 +155,14 @@ def test_the_report_draws_it_and_calls_it_unnamed(answer):
 
 @pytest.mark.parametrize("name", sorted(UNNAMED_TORQUES))
 def test_it_is_the_curve_through_its_values_and_constant_beyond(name):
-    """At a constant acceleration without friction, the velocity after a step gives the torque back."""
+    """At a constant acceleration without friction, the velocity after a step gives the torque
+    back.
+    """
     assert name not in effects()
-    values = {f"{name}.value{k + 1}": 0.01 * k**2 for k in range(UNNAMED_KNOTS)} | {f"{name}.low": 0.0, f"{name}.high": 12.0}
+    values = {f"{name}.value{k + 1}": 0.01 * k**2 for k in range(UNNAMED_KNOTS)} | {
+        f"{name}.low": 0.0,
+        f"{name}.high": 12.0,
+    }
     program = servo_program("coulomb", encoder=False, effects=(name,))
     setting = {"J": 1.0, "a2": 0.0, "coulomb.Fc": 0.0, "b": 2.0, "u_max": 1e6}
     seen = []
@@ -139,7 +171,9 @@ def test_it_is_the_curve_through_its_values_and_constant_beyond(name):
         native = Native(program, setting | values | at)
         time = np.array([0.0]) if name.endswith("_t") else None
         if time is not None:
-            native = Native(program, setting | values | {f"{name}.low": -x, f"{name}.high": 12.0 - x})
+            native = Native(
+                program, setting | values | {f"{name}.low": -x, f"{name}.high": 12.0 - x}
+            )
         u = x if name.endswith("_u") else 0.0
         out, _ = native.run(1e-6, {"u": np.full(1, u)}, ["v"])
         seen.append((out[1, 0] - out[0, 0]) / 1e-6 - 2.0 * u)

@@ -1,4 +1,6 @@
-"""Whole records in open loop: how they are cut, how far a model is from them, and a refit that only helps where it is due."""
+"""Whole records in open loop: how they are cut, how far a model is from them, and a refit that only
+helps where it is due.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,28 @@ from bristle.plant.servo import servo_program
 
 H, SEGMENT = 1e-3, 0.4
 TRUE = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12, "bias.torque": 0.01}
-FREE = (Free("J", 0.002, 0.05), Free("a2", 0.0, 0.2), Free("coulomb.Fc", 0.0, 0.6), Free("bias.torque", -1.0, 1.0))
+FREE = (
+    Free("J", 0.002, 0.05),
+    Free("a2", 0.0, 0.2),
+    Free("coulomb.Fc", 0.0, 0.6),
+    Free("bias.torque", -1.0, 1.0),
+)
 SERVO = Servo("coulomb", ("bias",), ("J", "a2", "coulomb.Fc"), FREE, fixed_values(H), True)
 
 
-def record(seed: int, seconds: float = 8.0, drag: float = 0.0, load: float = 0.0, start: float = 0.3) -> Record:
-    """A servo with a bias that swings to and fro; `drag` [N.m.s2/rad2] is missing in `SERVO`, `load` [N.m] is a random torque."""
+def record(
+    seed: int, seconds: float = 8.0, drag: float = 0.0, load: float = 0.0, start: float = 0.3
+) -> Record:
+    """A servo with a bias that swings to and fro; `drag` [N.m.s2/rad2] is missing in `SERVO`,
+    `load` [N.m] is a random torque.
+    """
     t = 5.0 + H * np.arange(round(seconds / H))
     rng = np.random.default_rng(seed)
     u = sum(0.16 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in (0.7, 1.3, 2.9, 4.3))
     program = servo_program("coulomb", encoder=False, effects=("bias", "quadratic_drag"))
-    native = Native(program, TRUE | {"u_max": 1e6, "theta_start": start, "quadratic_drag.coefficient": drag})
+    native = Native(
+        program, TRUE | {"u_max": 1e6, "theta_start": start, "quadratic_drag.coefficient": drag}
+    )
     noise = lfilter([1.0], [1.0, -0.94], rng.standard_normal(len(t)))
     out, _ = native.run(H, {"u": u, "tau_load": load * noise / np.std(noise)}, ["theta"])
     return Record(f"run {seed}", t, H, u, out[:-1, 0])
@@ -50,11 +63,12 @@ def records(*given: Record) -> Records:
     return Records(given, False, 1e-6, 1e-9)
 
 
-# -- metrics -----------------------------------------------------------------------------------------------------------------
+# -- metrics ---------------------------------------------------------------------------------------
 def test_metrics_of_a_sine_with_a_known_error():
     t = np.linspace(0, 2 * math.pi, 100_001)[:-1]
     measured, predicted = 3.0 * np.sin(t), 3.0 * np.sin(t) + 0.3 * np.cos(t) + 0.4
-    # error 0.3 cos t plus 0.4: mean square 0.045 + 0.16, of which the variance sees 0.045; that of the signal is 4.5
+    # error 0.3 cos t plus 0.4: mean square 0.045 + 0.16, of which the variance sees 0.045; that of
+    # the signal is 4.5
     assert rms(measured - predicted) == pytest.approx(math.sqrt(0.205))
     assert fit_percent(measured, predicted) == pytest.approx(100 * (1 - math.sqrt(0.205 / 4.5)))
     assert mse_percent(measured, predicted) == pytest.approx(1.0)
@@ -71,7 +85,7 @@ def test_metrics_that_cannot_be_given_are_not_numbers():
     assert math.isnan(rms(np.empty(0)))
 
 
-# -- stretches ---------------------------------------------------------------------------------------------------------------
+# -- stretches -------------------------------------------------------------------------------------
 def test_a_short_record_ends_where_it_ends_in_a_stretch_of_the_longest():
     s = records(record(1), part(record(2), slice(5003))).stretches(100.0)
     assert [piece.measured.shape[0] for piece in s.pieces] == [1, 1]
@@ -86,16 +100,21 @@ def test_horizons_grow_to_the_longest_record():
     assert found == pytest.approx([GROWTH * SEGMENT, 8.0])
 
 
-# -- open loop ---------------------------------------------------------------------------------------------------------------
+# -- open loop -------------------------------------------------------------------------------------
 def test_the_right_model_stays_on_the_record_wherever_it_begins():
-    loop = open_loop(open_loop_servo(SERVO), TRUE, records(record(1), record(2, 5.0, start=-2.0)), 100.0)
+    loop = open_loop(
+        open_loop_servo(SERVO), TRUE, records(record(1), record(2, 5.0, start=-2.0)), 100.0
+    )
     assert [len(y) for y in loop.measured] == [8000, 5000]
-    assert loop.error < 1e-3  # the second record begins with a torque: its velocity there is known roughly
+    # the second record begins with a torque: its velocity there is known roughly
+    assert loop.error < 1e-3
 
 
 def test_a_wrong_bias_drifts_and_more_so_over_longer_horizons():
     wrong, own = TRUE | {"bias.torque": 0.015}, records(record(1))
-    errors = [open_loop(open_loop_servo(SERVO), wrong, own, seconds).error for seconds in (0.4, 1.6, 8.0)]
+    errors = [
+        open_loop(open_loop_servo(SERVO), wrong, own, seconds).error for seconds in (0.4, 1.6, 8.0)
+    ]
     assert errors[2] > 3 * errors[1] > 9 * errors[0]
 
 
@@ -107,7 +126,7 @@ def test_the_start_of_a_drift_is_no_anchor():
     assert np.abs(loop.measured[0] - loop.simulated[0])[100:].mean() < 0.02
 
 
-# -- refit -------------------------------------------------------------------------------------------------------------------
+# -- refit -----------------------------------------------------------------------------------------
 def test_a_refit_finds_what_makes_the_whole_record_drift():
     own, wrong = records(record(1)), TRUE | {"bias.torque": 0.013, "a2": 0.023, "coulomb.Fc": 0.11}
     grown = refit_growing(open_loop_servo(SERVO), wrong, own, SEGMENT)
@@ -119,20 +138,28 @@ def test_a_refit_finds_what_makes_the_whole_record_drift():
 
 
 def test_a_refit_ends_with_the_longest_horizon_that_held():
-    """A pendulum that is driven over the top: how it goes on after that depends on every small push."""
+    """A pendulum that is driven over the top: how it goes on after that depends on every small
+    push.
+    """
     t = H * np.arange(40000)
     rng = np.random.default_rng(2)
     u = sum(0.3 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in (0.7, 1.3, 2.9, 4.3))
     own = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.02, "gravity.amplitude": 0.5}
     noise = lfilter([1.0], [1.0, -0.94], rng.standard_normal(len(t)))
-    native = Native(servo_program("coulomb", encoder=False, effects=("gravity",)), own | {"u_max": 1e6})
+    native = Native(
+        servo_program("coulomb", encoder=False, effects=("gravity",)), own | {"u_max": 1e6}
+    )
     out, _ = native.run(H, {"u": u, "tau_load": 0.05 * noise / np.std(noise)}, ["theta"])
     swung = records(Record("swung", t, H, u, out[:-1, 0]))
-    servo = replace(SERVO, effects=("gravity",), free=(*FREE[:3], Free("gravity.amplitude", 0.0, 2.0)))
+    servo = replace(
+        SERVO, effects=("gravity",), free=(*FREE[:3], Free("gravity.amplitude", 0.0, 2.0))
+    )
     grown = refit_growing(open_loop_servo(servo), own, swung, SEGMENT)
     assert GROWTH * SEGMENT <= grown.seconds <= GROWTH**3 * SEGMENT
     assert not grown.whole
-    none = refit_growing(open_loop_servo(SERVO), TRUE | {"J": math.nan}, records(record(1)), SEGMENT)
+    none = refit_growing(
+        open_loop_servo(SERVO), TRUE | {"J": math.nan}, records(record(1)), SEGMENT
+    )
     assert none.fit is None
     assert none.seconds == 0.0
 
@@ -141,7 +168,8 @@ def test_a_refit_is_kept_where_the_model_is_to_blame_for_the_drift_only():
     servo = open_loop_servo(SERVO)
     wrong = TRUE | {"a2": 0.024, "bias.torque": 0.012}
     assert general_horizon(servo, wrong, records(record(1), record(2)), SEGMENT) == math.inf
-    assert general_horizon(servo, wrong, records(record(1, 16.0)), SEGMENT) == math.inf  # one record: one half predicts the other
+    # one record: one half predicts the other
+    assert general_horizon(servo, wrong, records(record(1, 16.0)), SEGMENT) == math.inf
     noisy = records(record(1, load=0.01), record(2, load=0.01))
     assert general_horizon(servo, TRUE, noisy, SEGMENT) == 0.0
 
@@ -149,14 +177,19 @@ def test_a_refit_is_kept_where_the_model_is_to_blame_for_the_drift_only():
 def test_intervals_hold_at_both_ends():
     model = Model.from_dict(
         {
-            "friction": "coulomb", "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
-            "time": {"column": "t", "unit": "s"}, "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+            "friction": "coulomb",
+            "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
+            "time": {"column": "t", "unit": "s"},
+            "input": {"column": "u", "kind": "torque", "unit": "N.m"},
             "output": {"column": "y", "kind": "position", "unit": "rad"},
         }
-    )  # fmt: skip
+    )
     own = records(record(1, load=0.003), record(2, load=0.003))
     fit = refit_growing(open_loop_servo(SERVO), TRUE, own, SEGMENT).fit
-    first = {name: Estimate(2 * TRUE[name], "1", (1.9 * TRUE[name], 2.1 * TRUE[name])) for name in (f.name for f in FREE)}
+    first = {
+        name: Estimate(2 * TRUE[name], "1", (1.9 * TRUE[name], 2.1 * TRUE[name]))
+        for name in (f.name for f in FREE)
+    }
     for name, e in refitted_estimates(model, fit, first).items():
         assert e.value == fit.values[name]
         low, high = e.ci95
@@ -170,7 +203,7 @@ def test_starts_are_fitted_but_not_parameters():
     assert not fit.free
 
 
-# -- the answer --------------------------------------------------------------------------------------------------------------
+# -- the answer ------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_a_diagnosis_reports_whole_records(case):
     made = case("bias")
@@ -188,7 +221,9 @@ def test_a_diagnosis_reports_whole_records(case):
     assert seconds == sorted(seconds)
     assert seconds[-1] == pytest.approx(8.0)
     last = content["whole_record"]["horizons"][-1]["after"]
-    assert last == pytest.approx(math.sqrt(np.mean([row["rms_after"] ** 2 for row in content["open_loop"]])))
+    assert last == pytest.approx(
+        math.sqrt(np.mean([row["rms_after"] ** 2 for row in content["open_loop"]]))
+    )
     assert set(content["whole_record"]["segment_parameters"]) == {
         *content["parameters"],
         *(f"{e['name']}.{p}" for e in content["effects"] for p in e["parameters"]),

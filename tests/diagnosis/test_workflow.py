@@ -1,4 +1,6 @@
-"""The whole way through the command line: what is refused, what is proposed instead of an answer, what is named."""
+"""The whole way through the command line: what is refused, what is proposed instead of an answer,
+what is named.
+"""
 
 from __future__ import annotations
 
@@ -31,27 +33,42 @@ Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @pytest.fixture
 def call(
-    tree: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tree: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> Iterator[Call]:
-    """Return what diagnoses arrays through the command line: (exit code, diagnosis.json, standard error)."""
+    """Return what diagnoses arrays through the command line: (exit code, diagnosis.json, standard
+    error).
+    """
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def run(*records: Columns, **changes: Any) -> tuple[int, dict[str, Any], str]:
-        (tmp_path / "model.toml").write_text(model_text(Model.from_dict(deepcopy(tree) | changes)), encoding="utf-8")
+        (tmp_path / "model.toml").write_text(
+            model_text(Model.from_dict(deepcopy(tree) | changes)), encoding="utf-8"
+        )
         files: list[object] = []
         for i, (t, u, y) in enumerate(records):
             path = tmp_path / f"r{i}.npz"
             np.savez(path, t=t, u=u, theta=y)
             files += ["--data", path]
         out = tmp_path / "out"
-        monkeypatch.setattr(sys, "argv", ["bristle", "diagnose", *map(str, (tmp_path / "model.toml", *files, "--out", out))])
+        monkeypatch.setattr(
+            sys,
+            "argv",
+            ["bristle", "diagnose", *map(str, (tmp_path / "model.toml", *files, "--out", out))],
+        )
         with pytest.raises(SystemExit) as done:
             cli.main()
         assert isinstance(done.value.code, int)
         answer = out / "diagnosis.json"
         content = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
         content["page"] = (out / "report.html").read_text(encoding="utf-8") if content else ""
-        return done.value.code, content | {"files": sorted(p.name for p in out.glob("*"))}, capsys.readouterr().err
+        return (
+            done.value.code,
+            content | {"files": sorted(p.name for p in out.glob("*"))},
+            capsys.readouterr().err,
+        )
 
     yield run
     for number, handler in kept.items():
@@ -66,16 +83,34 @@ def plain(measured: Callable[..., Any]) -> list[Columns]:
 REFUSED: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
     "too short": (lambda c: (c[0][:900], c[1][:900], c[2][:900]), "lasts 0.899 s", "record longer"),
     "too few": (lambda c: (c[0][:150], c[1][:150], c[2][:150]), "150 samples", "record longer"),
-    "constant input": (lambda c: (c[0], 0.1 + 0 * c[1], c[2]), "input is constant", "give a record in which it varies"),
+    "constant input": (
+        lambda c: (c[0], 0.1 + 0 * c[1], c[2]),
+        "input is constant",
+        "give a record in which it varies",
+    ),
     "no motion": (lambda c: (c[0], c[1], 0 * c[2]), "nothing moves", "give a record with motion"),
-    "NaN": (lambda c: (c[0], np.where(np.arange(len(c[1])) % 500 < 20, np.nan, c[1]), c[2]), "not finite", "repair"),
-    "time runs back": (lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]), "time decreases", "sort the record"),
-    "milliseconds": (lambda c: (c[0] * 1e3, c[1], c[2]), "sampled every 1 s", "unit right (ms, us)"),
+    "NaN": (
+        lambda c: (c[0], np.where(np.arange(len(c[1])) % 500 < 20, np.nan, c[1]), c[2]),
+        "not finite",
+        "repair",
+    ),
+    "time runs back": (
+        lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]),
+        "time decreases",
+        "sort the record",
+    ),
+    "milliseconds": (
+        lambda c: (c[0] * 1e3, c[1], c[2]),
+        "sampled every 1 s",
+        "unit right (ms, us)",
+    ),
 }
 
 
 @pytest.mark.parametrize("what", list(REFUSED))
-def test_what_is_refused_is_refused_in_one_line(what: str, call: Call, plain: list[Columns]) -> None:
+def test_what_is_refused_is_refused_in_one_line(
+    what: str, call: Call, plain: list[Columns]
+) -> None:
     change, found, advice = REFUSED[what]
     code, answer, error = call(*(change(each) for each in plain))
     assert code == 2
@@ -94,7 +129,9 @@ PROPOSED: dict[str, tuple[Callable[[Columns], Columns], str]] = {
 
 
 @pytest.mark.parametrize("what", list(PROPOSED))
-def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call: Call, measured: Callable[..., Any]) -> None:
+def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(
+    what: str, call: Call, measured: Callable[..., Any]
+) -> None:
     change, words = PROPOSED[what]
     data = [change(measured("gravity", seed)[:3]) for seed in (1, 2)]
     code, answer, error = call(*data)
@@ -109,10 +146,14 @@ def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call:
 
 @pytest.mark.usefixtures("few")
 @pytest.mark.slow
-def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(call: Call, plain: list[Columns]) -> None:
+def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(
+    call: Call, plain: list[Columns]
+) -> None:
     noise = np.random.default_rng(3)
     short = [(t[:5000], u[:5000]) for t, u, _ in plain]
-    code, answer, error = call(*((t, u, lfilter([1.0], [1.0, -0.5], noise.standard_normal(len(t)))) for t, u in short))
+    code, answer, error = call(
+        *((t, u, lfilter([1.0], [1.0, -0.5], noise.standard_normal(len(t)))) for t, u in short)
+    )
     assert (code, error) == (0, "")
     assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
     assert "these records do not determine J, a2 or coulomb.Fc" in " ".join(answer["statement"])
@@ -138,37 +179,53 @@ def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[C
     assert answer["verdict"] == "none"
 
 
-TIGHT = {"parameters": {"J": 0.008, "a2": 0.02, "Fc": 0.12}, "bounds": {"J": [0.007, 0.009], "Fc": [0.0, 0.6]}}
+TIGHT = {
+    "parameters": {"J": 0.008, "a2": 0.02, "Fc": 0.12},
+    "bounds": {"J": [0.007, 0.009], "Fc": [0.0, 0.6]},
+}
 
 
 @pytest.mark.slow
 def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(
     call: Call, plain: list[Columns], search_among: Callable[..., None]
 ) -> None:
-    search_among("gear_loss", "dead_zone", "bias", "stribeck")  # the first two make up for the bound best
+    # the first two make up for the bound best
+    search_among("gear_loss", "dead_zone", "bias", "stribeck")
     code, answer, error = call(plain[0], **TIGHT)
     assert (code, error) == (0, "")
     assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
     [proposal] = answer["proposals"]
-    assert re.search(r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal)
+    assert re.search(
+        r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal
+    )
     assert answer["rounds"]  # effects were tried
-    assert answer["statement"][0].startswith("Effects explain these records, but they only make up for bounds")
+    assert answer["statement"][0].startswith(
+        "Effects explain these records, but they only make up for bounds"
+    )
     assert answer["gap"]["before"] == answer["gap"]["after"]
     assert "First widen the bounds" in answer["page"]
     assert "took no part in the search" in answer["page"]
-    assert not any(words in answer["page"] for words in ("Unexplained residual", "Effects that were not found"))
+    assert not any(
+        words in answer["page"] for words in ("Unexplained residual", "Effects that were not found")
+    )
     assert answer["files"] == ["diagnosis.json", "report.html"]
 
 
 @pytest.mark.usefixtures("few")
 @pytest.mark.slow
-def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Callable[..., Any]) -> None:
-    """What is missing is larger than what the bound costs: it is named, and the bound is said beside it."""
+def test_a_bound_that_the_base_refit_ends_at_is_said(
+    call: Call, measured: Callable[..., Any]
+) -> None:
+    """What is missing is larger than what the bound costs: it is named, and the bound is said
+    beside it.
+    """
     code, answer, error = call(measured("gravity", 1)[:3], **TIGHT)
     assert (code, error) == (0, "")
     assert "gravity" in [e["name"] for e in answer["effects"]]
     assert answer["base"]["J"]["at_bound"]
-    assert any(line.startswith("the base refit of J ends at its bound") for line in answer["findings"])
+    assert any(
+        line.startswith("the base refit of J ends at its bound") for line in answer["findings"]
+    )
     assert "augmented.fmu" in answer["files"]
 
 
@@ -177,11 +234,15 @@ def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Calla
 def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     measured: Callable[..., Any], model: Model, tmp_path: Path
 ) -> None:
-    """The augmented model goes back in: its effect is refitted with the rest, and nothing more is missing."""
+    """The augmented model goes back in: its effect is refitted with the rest, and nothing more is
+    missing.
+    """
     from bristle.diagnosis import load_model
     from bristle.diagnosis.report.export import augment
 
-    records = records_from_arrays(model, [(f"r{seed}", *measured("gravity", seed)[:3]) for seed in (1, 2)])
+    records = records_from_arrays(
+        model, [(f"r{seed}", *measured("gravity", seed)[:3]) for seed in (1, 2)]
+    )
     first = diagnose(model, records)
     assert first.effects[0].name == "gravity"
     assert first.rounds[0].finer == pytest.approx(first.rounds[0].gain, rel=0.2)
@@ -191,15 +252,20 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     again = diagnose(load_model(tmp_path / "augmented.toml"), records)
     assert again.effects == ()
     assert not any(c.name == "gravity" for r in again.rounds for c in r.candidates)
-    assert again.parameters["gravity.amplitude"].value == pytest.approx(first.effects[0].parameters["amplitude"].value, rel=0.02)
-    assert again.gap.before == pytest.approx(first.gap.after, rel=0.4)  # what a prior holds differs a little
+    assert again.parameters["gravity.amplitude"].value == pytest.approx(
+        first.effects[0].parameters["amplitude"].value, rel=0.02
+    )
+    # what a prior holds differs a little
+    assert again.gap.before == pytest.approx(first.gap.after, rel=0.4)
 
 
 @pytest.mark.slow
 def test_a_linear_axis_has_nothing_that_turns(
     measured: Callable[..., Any], tree: dict[str, Any], search_among: Callable[..., None]
 ) -> None:
-    search_among("hard_stop", "gravity", "eccentric_encoder", "cogging", "compliance", "bias", "saturation")
+    search_among(
+        "hard_stop", "gravity", "eccentric_encoder", "cogging", "compliance", "bias", "saturation"
+    )
     tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
     tree["output"] = {"column": "x", "kind": "position", "unit": "m"}
     model = Model.from_dict(tree)
@@ -207,8 +273,14 @@ def test_a_linear_axis_has_nothing_that_turns(
     found = diagnose(model, records)
     assert [e.name for e in found.effects] == ["hard_stop"]
     assert found.effects[0].parameters["stiffness"].unit == "N/m"
-    refused = {c.name: c.note for r in found.rounds for c in r.candidates if c.note.startswith("needs")}
-    assert refused["gravity"] == refused["eccentric_encoder"] == "needs a shaft that turns: this axis is linear"
+    refused = {
+        c.name: c.note for r in found.rounds for c in r.candidates if c.note.startswith("needs")
+    }
+    assert (
+        refused["gravity"]
+        == refused["eccentric_encoder"]
+        == "needs a shaft that turns: this axis is linear"
+    )
     assert found.undetected["gravity"] == refused["gravity"]
     assert not any("in a turn" in view.label for view in found.where)
 
@@ -221,9 +293,13 @@ def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_an
     t, u, y, _ = measured("gravity", 1)
     for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest segment
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
-        dataset, _, lines = prepare.prepare_model(model, records, prepare.dataset_of(model, records))
+        dataset, _, lines = prepare.prepare_model(
+            model, records, prepare.dataset_of(model, records)
+        )
         assert dataset.segments.seconds == pytest.approx(seconds)
-        assert [line for line in lines if f"segments of {seconds:g} s were compared" in line] == lines
+        assert [
+            line for line in lines if f"segments of {seconds:g} s were compared" in line
+        ] == lines
         assert len(lines) == (every == 1)
 
 
@@ -242,17 +318,28 @@ LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
 @pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_any_law_input_and_output(
-    friction: str, own: dict[str, float], kind: str, output: str, measured: Callable[..., Any], tree: dict[str, Any]
+    friction: str,
+    own: dict[str, float],
+    kind: str,
+    output: str,
+    measured: Callable[..., Any],
+    tree: dict[str, Any],
 ) -> None:
     gain = 1.0 if kind == "torque" else 0.5
-    tree |= {"friction": friction, "parameters": {"J": 0.01, "a2": 0.02} | own | ({} if gain == 1.0 else {"b": gain})}
+    tree |= {
+        "friction": friction,
+        "parameters": {"J": 0.01, "a2": 0.02} | own | ({} if gain == 1.0 else {"b": gain}),
+    }
     tree["input"] |= {"kind": kind, "unit": {"torque": "N.m", "voltage": "V", "current": "A"}[kind]}
     tree["output"] |= {"kind": output, "unit": "rad" if output == "position" else "rad/s"}
     tree.pop("bounds")
     model = Model.from_dict(tree)
     t, u, y, v = (column[:5000] for column in measured("gravity", 1))
     noise = 2e-3 * np.random.default_rng(1).standard_normal(len(v))
-    found = diagnose(model, records_from_arrays(model, [("r", t, u / gain, y if output == "position" else v + noise)]))
+    found = diagnose(
+        model,
+        records_from_arrays(model, [("r", t, u / gain, y if output == "position" else v + noise)]),
+    )
     assert found.proposals == ()
     assert found.gap.after < found.gap.before
     names = [e.name for e in found.effects]
@@ -264,7 +351,9 @@ def test_any_law_input_and_output(
 
 
 @pytest.mark.usefixtures("few")
-def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards(model: Model, plain: list[Columns]) -> None:
+def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards(
+    model: Model, plain: list[Columns]
+) -> None:
     """Several sum in another order, so that a notebook's digits would not be the command line's."""
     seen: list[set[int]] = []
 
@@ -272,7 +361,11 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
     with threadpool_limits(2, user_api="blas"):
-        diagnose(model, records_from_arrays(model, [("r", *plain[0])]), lambda text, share: seen.append(threads()))
+        diagnose(
+            model,
+            records_from_arrays(model, [("r", *plain[0])]),
+            lambda text, share: seen.append(threads()),
+        )
         assert seen
         assert all(each == {1} for each in seen)
         assert threads() == {2}
@@ -284,8 +377,16 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         (lambda model, out: fmu_model(None), "the FMU is a NoneType; give the path"),
         (lambda model, out: write(None, out), "the diagnosis is a NoneType; give what diagnose"),
         (lambda model, out: teller(3), "progress is a int; give a function"),
-        (lambda model, out: build("plant", out, law="coulomb", effects="bias"), r"give a list of names: \['bias'\]"),
-        (lambda model, out: build("plant", out, law="gms", effects=["bias"], parameters={"bias.torque": ""}), "is not a number"),
+        (
+            lambda model, out: build("plant", out, law="coulomb", effects="bias"),
+            r"give a list of names: \['bias'\]",
+        ),
+        (
+            lambda model, out: build(
+                "plant", out, law="gms", effects=["bias"], parameters={"bias.torque": ""}
+            ),
+            "is not a number",
+        ),
     ],
 )
 def test_arguments_of_a_wrong_type_are_one_line(model, tmp_path, call, words):
@@ -294,13 +395,19 @@ def test_arguments_of_a_wrong_type_are_one_line(model, tmp_path, call, words):
 
 
 @pytest.mark.usefixtures("few")
-def test_effects_whose_strength_may_be_nothing_in_the_end_are_withdrawn(model, measured, monkeypatch):
-    """A refit to whole records may take what segments had shown: then something is missing, and it has no name."""
+def test_effects_whose_strength_may_be_nothing_in_the_end_are_withdrawn(
+    model, measured, monkeypatch
+):
+    """A refit to whole records may take what segments had shown: then something is missing, and it
+    has no name.
+    """
     columns = [(f"run {seed}", *(x[:5000] for x in measured("bias", seed)[:3])) for seed in (1, 2)]
     records = records_from_arrays(model, columns)
     assert [e.name for e in diagnose(model, records).effects] == ["bias"]
     monkeypatch.setattr(conclusion, "ANY_STRENGTH", 0.0)
     found = diagnose(model, records)
     assert (found.verdict, found.effects, found.remains.flag) == ("not_identifiable", (), True)
-    assert "'bias' would explain most, but with a strength that may be nothing" in found.statement[0]
+    assert (
+        "'bias' would explain most, but with a strength that may be nothing" in found.statement[0]
+    )
     assert found.whole.horizons[-1].before == found.whole.horizons[-1].after

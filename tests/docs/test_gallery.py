@@ -1,4 +1,6 @@
-"""The gallery: each effect has its picture, and the residual torque that is drawn is that of the effect."""
+"""The gallery: each effect has its picture, and the residual torque that is drawn is that of the
+effect.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ import numpy as np
 from bristle.plant.effects import effect
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-SHIPPED = tomllib.loads((DOCS.parent / "tests" / "shipped.toml").read_text(encoding="utf-8"))["effects"]
+SHIPPED = tomllib.loads((DOCS.parent / "tests" / "shipped.toml").read_text(encoding="utf-8"))[
+    "effects"
+]
 _spec = importlib.util.spec_from_file_location("gallery", DOCS / "gallery.py")
 assert _spec is not None
 assert _spec.loader is not None

@@ -14,7 +14,9 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 def test_every_key_has_a_type_and_a_meaning(page):
     text = (DOCS / page).read_text(encoding="utf-8")
     rows = [
-        line.strip("| ").split(" | ") for line in text.splitlines() if re.match(r"\| `\w+` \|", line) and line.count(" | ") >= 5
+        line.strip("| ").split(" | ")
+        for line in text.splitlines()
+        if re.match(r"\| `\w+` \|", line) and line.count(" | ") >= 5
     ]
     assert len(rows) > 8
     for row in rows:

@@ -1,4 +1,6 @@
-"""The documentation site builds without a dead link, a missing anchor or a page that no navigation names."""
+"""The documentation site builds without a dead link, a missing anchor or a page that no navigation
+names.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,24 @@ def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
         "--site-dir",
         str(site),
     ]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 def test_the_site_builds_strictly(tmp_path):
     done = build(ROOT / "mkdocs.yml", tmp_path / "site")
     assert done.returncode == 0, done.stdout + done.stderr
     site = tmp_path / "site"
-    pages = {str(path.relative_to(site)): path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
+    pages = {
+        str(path.relative_to(site)): path.read_text(encoding="utf-8")
+        for path in site.rglob("*.html")
+    }
     assert "<h1" in pages["index.html"]
-    assert not [name for name, text in pages.items() if 'src="http' in text]  # no script, font or picture of another place
-    assert '<script src="iframe-worker.js">' in pages["index.html"]  # with the next file, search in pages opened as files
+    # no script, font or picture of another place
+    assert not [name for name, text in pages.items() if 'src="http' in text]
+    # with the next file, search in pages opened as files
+    assert '<script src="iframe-worker.js">' in pages["index.html"]
     assert "Glossary" in (site / "search" / "search_index.js").read_text(encoding="utf-8")
 
 
@@ -55,10 +64,14 @@ def test_a_dead_link_fails_the_build(tmp_path, text, named):
     pages.mkdir()
     (pages / "index.md").write_text(f"# Page\n\n{text}\n", encoding="utf-8")
     if named == "lost.md":
-        (pages / "lost.md").write_text("# A page that the navigation does not name\n", encoding="utf-8")
+        (pages / "lost.md").write_text(
+            "# A page that the navigation does not name\n", encoding="utf-8"
+        )
     config = tmp_path / "mkdocs.yml"
     config.write_text(
-        f"INHERIT: {ROOT / 'mkdocs.yml'}\ndocs_dir: {pages}\nhooks: []\nnav: [index.md]\nextra_css: []\n", encoding="utf-8"
+        f"INHERIT: {ROOT / 'mkdocs.yml'}\ndocs_dir: {pages}\nhooks: []\nnav: [index.md]\nextra_css:"
+        " []\n",
+        encoding="utf-8",
     )
     done = build(config, tmp_path / "site")
     assert done.returncode != 0

@@ -31,7 +31,15 @@ def same(shown: str, printed: str) -> None:
 
 
 def test_all_seven_are_there():
-    assert PAGES == ["diagnose.md", "fmu.md", "log_files.md", "own_observer.md", "own_scenario.md", "rig.md", "run.md"]
+    assert PAGES == [
+        "diagnose.md",
+        "fmu.md",
+        "log_files.md",
+        "own_observer.md",
+        "own_scenario.md",
+        "rig.md",
+        "run.md",
+    ]
 
 
 @pytest.mark.slow
@@ -49,7 +57,9 @@ def test_progress_is_no_output():
     assert consoles.outputs(page) == ["41%\n"]
 
 
-@pytest.mark.parametrize(("shown", "printed"), [("error 0.30 %", "error 0.90 %"), ("ok b", "failed b"), ("", "an error")])
+@pytest.mark.parametrize(
+    ("shown", "printed"), [("error 0.30 %", "error 0.90 %"), ("ok b", "failed b"), ("", "an error")]
+)
 def test_another_output_is_noticed(shown, printed):
     with pytest.raises(AssertionError):
         same(shown, printed)

@@ -13,9 +13,20 @@ nbclient = pytest.importorskip("nbclient")
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples"
 SAID = {  # what the outputs of each must hold
-    "first_run": ["quick: pass", "('pass', 0.5)", "report.html True", "<th>alpha2</th>", "image/png"],
+    "first_run": [
+        "quick: pass",
+        "('pass', 0.5)",
+        "report.html True",
+        "<th>alpha2</th>",
+        "image/png",
+    ],
     "diagnosis": ["dead_zone", "augmented.toml", "(named)"],
-    "outside_observer": ["bristle_gradient", "gradient: pass", "AdaptiveObserver_gradient.fmu", "gamma = 0.2"],
+    "outside_observer": [
+        "bristle_gradient",
+        "gradient: pass",
+        "AdaptiveObserver_gradient.fmu",
+        "gamma = 0.2",
+    ],
 }
 
 
@@ -40,9 +51,17 @@ def test_it_is_committed_without_outputs(name):
 @pytest.mark.parametrize("name", list(SAID))
 def test_it_runs(name):
     notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(FOLDER)}}).execute()
-    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
+    nbclient.NotebookClient(
+        notebook, timeout=600, resources={"metadata": {"path": str(FOLDER)}}
+    ).execute()
+    outputs = [
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+    ]
+    assert not [
+        output
+        for output in outputs
+        if output.output_type == "error" or output.get("name") == "stderr"
+    ]
     text = "\n".join(str(output) for output in outputs)
     for words in SAID[name]:
         assert words in text, f"{name}: {words}"

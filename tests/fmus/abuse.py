@@ -1,6 +1,8 @@
-"""Every kind of misuse of an FMU, each of which must end in an FMI error with one message that says why.
+"""Every kind of misuse of an FMU, each of which must end in an FMI error with one message that says
+why.
 
-``python abuse.py INFO CASE`` runs one case and exits with 0 if the FMU behaved; INFO is JSON (see `Raw`).
+``python abuse.py INFO CASE`` runs one case and exits with 0 if the FMU behaved; INFO is JSON (see
+`Raw`).
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ def case(function: Callable[[Raw], None]) -> Callable[[Raw], None]:
 
 
 def refused(raw: Raw, status: int, *words: str) -> None:
-    """The call returned an error and logged exactly one message, of the declared category, with these words."""
+    """The call returned an error and logged exactly one message, of the declared category, with
+    these words.
+    """
     assert status == ERROR, (status, raw.messages)
     assert len(raw.messages) == 1, raw.messages
     level, category, text = raw.messages.pop()
@@ -47,7 +51,7 @@ def alive(raw: Raw, handle: int) -> None:
     raw.free(fresh)
 
 
-# -- values ----------------------------------------------------------------------------------------------------------
+# -- values ----------------------------------------------------------------------------------------
 
 
 @case
@@ -106,7 +110,11 @@ def wrong_type(raw: Raw) -> None:
                 refused(raw, raw.read(handle, name, kind)[0], name, "type")
     text = "GetString"
     count = (1,) if raw.fmi == 3 else ()
-    refused(raw, raw.call(text, handle, raw.references("theta"), 1, ctypes.create_string_buffer(8), *count), "type")
+    refused(
+        raw,
+        raw.call(text, handle, raw.references("theta"), 1, ctypes.create_string_buffer(8), *count),
+        "type",
+    )
     alive(raw, handle)
 
 
@@ -117,8 +125,12 @@ def null_arrays(raw: Raw) -> None:
     for verb in ("Get", "Set"):
         for kind in ("Real", "Integer", "Boolean"):
             kind = {"Real": "Float64", "Integer": "Int64"}.get(kind, kind) if raw.fmi == 3 else kind
-            refused(raw, raw.call(f"{verb}{kind}", handle, null, 1, (c_double * 1)(), *count), "NULL")
-            refused(raw, raw.call(f"{verb}{kind}", handle, raw.references("u"), 1, null, *count), "NULL")
+            refused(
+                raw, raw.call(f"{verb}{kind}", handle, null, 1, (c_double * 1)(), *count), "NULL"
+            )
+            refused(
+                raw, raw.call(f"{verb}{kind}", handle, raw.references("u"), 1, null, *count), "NULL"
+            )
             assert raw.call(f"{verb}{kind}", handle, null, 0, null, *(0 for _ in count)) == OK
     alive(raw, handle)
 
@@ -171,7 +183,7 @@ def several_values_one_wrong(raw: Raw) -> None:
     alive(raw, handle)
 
 
-# -- steps -----------------------------------------------------------------------------------------------------------
+# -- steps -----------------------------------------------------------------------------------------
 
 
 @case
@@ -202,7 +214,9 @@ def beyond_the_stop_time(raw: Raw) -> None:
 
 @case
 def too_many_internal_steps(raw: Raw) -> None:
-    """The state is that of before the step, quickly; the instance has failed, and a saved state or a reset revives it."""
+    """The state is that of before the step, quickly; the instance has failed, and a saved state or
+    a reset revives it.
+    """
     for law in (1, 2, 3):
         handle = raw.instantiate()
         assert raw.set(handle, "law", law, "Integer") == OK
@@ -227,7 +241,9 @@ def too_many_internal_steps(raw: Raw) -> None:
 
 @case
 def failure_half_way(raw: Raw) -> None:
-    """Many internal steps have been done when the limit is met: all of them are taken back, hidden states included."""
+    """Many internal steps have been done when the limit is met: all of them are taken back, hidden
+    states included.
+    """
     for law in (1, 2, 3):
         twins = [raw.instantiate(), raw.instantiate()]
         for handle in twins:
@@ -242,7 +258,11 @@ def failure_half_way(raw: Raw) -> None:
         raw.messages.clear()
         assert raw.get(twins[0], "theta", "v", "F", "theta_enc", "v_enc") == before
         failed = raw.serialise(twins[0], raw.get_state(twins[0])[1])
-        places = [k for k, (a, b) in enumerate(zip(failed, raw.serialise(twins[0], saved), strict=True)) if a != b]
+        places = [
+            k
+            for k, (a, b) in enumerate(zip(failed, raw.serialise(twins[0], saved), strict=True))
+            if a != b
+        ]
         assert len(places) < 40  # the checksum, the mode, and that outputs are to be computed again
         assert raw.set_state(twins[0], saved) == OK
         for k in range(100, 120):
@@ -267,7 +287,7 @@ def divergence(raw: Raw) -> None:
     refused(raw, status)
 
 
-# -- the order of calls ----------------------------------------------------------------------------------------------
+# -- the order of calls ----------------------------------------------------------------------------
 
 
 @case
@@ -325,7 +345,12 @@ def model_exchange_functions(raw: Raw) -> None:
     refused(raw, raw.call("EnterEventMode", handle), "Co-Simulation")
     refused(raw, raw.call("EnterContinuousTimeMode", handle), "step mode")
     refused(raw, raw.call("SetTime", handle, 1.0), "step mode")
-    for name in ("GetContinuousStates", derivatives, "SetContinuousStates", "GetNominalsOfContinuousStates"):
+    for name in (
+        "GetContinuousStates",
+        derivatives,
+        "SetContinuousStates",
+        "GetNominalsOfContinuousStates",
+    ):
         refused(raw, raw.call(name, handle, array, 3), "Co-Simulation")
     alive(raw, handle)
     assert raw.instantiate("me") == 0
@@ -335,18 +360,54 @@ def model_exchange_functions(raw: Raw) -> None:
 @case
 def what_is_not_there(raw: Raw) -> None:
     """Functions of things that this FMU does not have."""
-    handle, buffer, references = raw.running(), ctypes.create_string_buffer(256), raw.references("u")
+    handle, buffer, references = (
+        raw.running(),
+        ctypes.create_string_buffer(256),
+        raw.references("u"),
+    )
     absent = (
-        ["CancelStep", "GetStatus", "GetIntegerStatus", "GetStringStatus", "SetRealInputDerivatives", "GetRealOutputDerivatives"]
+        [
+            "CancelStep",
+            "GetStatus",
+            "GetIntegerStatus",
+            "GetStringStatus",
+            "SetRealInputDerivatives",
+            "GetRealOutputDerivatives",
+        ]
         if raw.fmi == 2
-        else ["GetClock", "SetClock", "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal", "GetShiftFraction",
-              "SetIntervalDecimal", "SetIntervalFraction", "SetShiftDecimal", "SetShiftFraction", "ActivateModelPartition",
-              "EvaluateDiscreteStates", "EnterStepMode", "EnterConfigurationMode", "ExitConfigurationMode", "GetOutputDerivatives",
-              "GetNumberOfVariableDependencies", "GetVariableDependencies", "GetAdjointDerivative"]
-    )  # fmt: skip
+        else [
+            "GetClock",
+            "SetClock",
+            "GetIntervalDecimal",
+            "GetIntervalFraction",
+            "GetShiftDecimal",
+            "GetShiftFraction",
+            "SetIntervalDecimal",
+            "SetIntervalFraction",
+            "SetShiftDecimal",
+            "SetShiftFraction",
+            "ActivateModelPartition",
+            "EvaluateDiscreteStates",
+            "EnterStepMode",
+            "EnterConfigurationMode",
+            "ExitConfigurationMode",
+            "GetOutputDerivatives",
+            "GetNumberOfVariableDependencies",
+            "GetVariableDependencies",
+            "GetAdjointDerivative",
+        ]
+    )
     for name in absent:
-        refused(raw, raw.call(name, handle, references, 1, buffer, buffer, buffer, 1, buffer, 1), f"fmi{raw.fmi}{name}")
-    for name in ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "UInt64") if raw.fmi == 3 else ("String",):
+        refused(
+            raw,
+            raw.call(name, handle, references, 1, buffer, buffer, buffer, 1, buffer, 1),
+            f"fmi{raw.fmi}{name}",
+        )
+    for name in (
+        ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "UInt64")
+        if raw.fmi == 3
+        else ("String",)
+    ):
         for verb in ("Get", "Set"):
             refused(raw, raw.call(f"{verb}{name}", handle, references, 1, buffer, 1), "type")
     refused(raw, raw.call("GetEventIndicators", handle, buffer, 1), "event indicators")
@@ -354,7 +415,7 @@ def what_is_not_there(raw: Raw) -> None:
     alive(raw, handle)
 
 
-# -- instances -------------------------------------------------------------------------------------------------------
+# -- instances -------------------------------------------------------------------------------------
 
 
 @case
@@ -388,18 +449,33 @@ def scheduled_execution(raw: Raw) -> None:
         function = raw.library.fmi3InstantiateScheduledExecution
         function.restype = c_size_t
         nulls = [c_void_p(None)] * 3
-        assert not function(b"a", raw.token, b"", False, True, c_void_p(None), ctypes.cast(raw.logger, c_void_p), *nulls)
+        assert not function(
+            b"a",
+            raw.token,
+            b"",
+            False,
+            True,
+            c_void_p(None),
+            ctypes.cast(raw.logger, c_void_p),
+            *nulls,
+        )
         refused(raw, ERROR, "Scheduled Execution")
 
 
 @case
 def event_mode_and_intermediate_variables(raw: Raw) -> None:
     if raw.fmi == 3:
-        function, logger, null = raw.library.fmi3InstantiateCoSimulation, ctypes.cast(raw.logger, c_void_p), c_void_p(None)
+        function, logger, null = (
+            raw.library.fmi3InstantiateCoSimulation,
+            ctypes.cast(raw.logger, c_void_p),
+            c_void_p(None),
+        )
         function.restype = c_size_t
         assert not function(b"a", raw.token, b"", 0, 1, 1, 0, null, c_size_t(0), null, logger, null)
         refused(raw, ERROR, "event mode")
-        assert not function(b"a", raw.token, b"", 0, 1, 0, 0, raw.references("u"), c_size_t(1), null, logger, null)
+        assert not function(
+            b"a", raw.token, b"", 0, 1, 0, 0, raw.references("u"), c_size_t(1), null, logger, null
+        )
         refused(raw, ERROR, "intermediate")
 
 
@@ -407,11 +483,19 @@ def functions(raw: Raw) -> list[str]:
     """Return all functions that take an instance."""
     header = Path(sys.argv[3]).read_text(encoding="utf-8")
     prefix = f"fmi{raw.fmi}"
-    names = {word.removesuffix("TYPE").removeprefix(prefix) for word in header.replace("(", " ").split() if word.endswith("TYPE")}
+    names = {
+        word.removesuffix("TYPE").removeprefix(prefix)
+        for word in header.replace("(", " ").split()
+        if word.endswith("TYPE")
+    }
     names = {name for name in names if hasattr(raw.library, prefix + name)}
     expected = {2: 44, 3: 75}[raw.fmi]
     assert len(names) == expected, (len(names), sorted(names))
-    return sorted(name for name in names if not name.startswith(("Instantiate", "GetVersion", "GetTypesPlatform")))
+    return sorted(
+        name
+        for name in names
+        if not name.startswith(("Instantiate", "GetVersion", "GetTypesPlatform"))
+    )
 
 
 def every_function_refuses(raw: Raw, handles: list[int]) -> None:
@@ -426,7 +510,9 @@ def invented_handles(raw: Raw) -> None:
     living = raw.running()
     generator = random.Random(1)
     near = [living + k for k in (-8, -1, 1, 8, 64)]
-    every_function_refuses(raw, [0, 1, 8, 4096, 2**64 - 1, *near, *(generator.getrandbits(64) for _ in range(50))])
+    every_function_refuses(
+        raw, [0, 1, 8, 4096, 2**64 - 1, *near, *(generator.getrandbits(64) for _ in range(50))]
+    )
     alive(raw, living)
 
 
@@ -456,7 +542,7 @@ def foreign_handle(raw: Raw) -> None:
     alive(raw, own)
 
 
-# -- states of the whole instance ------------------------------------------------------------------------------------
+# -- states of the whole instance ------------------------------------------------------------------
 
 
 @case
@@ -472,8 +558,16 @@ def invented_states(raw: Raw) -> None:
         refused(raw, raw.set_state(handle, state), "no FMU state")
         refused(raw, raw.free_state(handle, c_void_p(bad)), "no FMU state")
         refused(raw, raw.get_state(handle, c_void_p(bad))[0], "no FMU state")
-        refused(raw, raw.call(STATE[raw.fmi][3], handle, state, ctypes.byref(c_size_t())), "no FMU state")
-        refused(raw, raw.call(STATE[raw.fmi][4], handle, state, ctypes.create_string_buffer(9), 9), "no FMU state")
+        refused(
+            raw,
+            raw.call(STATE[raw.fmi][3], handle, state, ctypes.byref(c_size_t())),
+            "no FMU state",
+        )
+        refused(
+            raw,
+            raw.call(STATE[raw.fmi][4], handle, state, ctypes.create_string_buffer(9), 9),
+            "no FMU state",
+        )
     refused(raw, raw.set_state(handle, c_void_p(None)), "no FMU state")
     refused(raw, raw.call(STATE[raw.fmi][0], handle, c_void_p(None)), "NULL")
     refused(raw, raw.call(STATE[raw.fmi][2], handle, c_void_p(None)), "NULL")
@@ -485,7 +579,13 @@ def damaged_bytes(raw: Raw) -> None:
     handle = raw.running()
     state = raw.get_state(handle)[1]
     data = raw.serialise(handle, state)
-    refused(raw, raw.call(STATE[raw.fmi][4], handle, state, ctypes.create_string_buffer(len(data)), len(data) - 1), "bytes")
+    refused(
+        raw,
+        raw.call(
+            STATE[raw.fmi][4], handle, state, ctypes.create_string_buffer(len(data)), len(data) - 1
+        ),
+        "bytes",
+    )
     for size in (0, 1, 8, len(data) // 2, len(data) - 1):
         refused(raw, raw.deserialise(handle, data[:size])[0], "wrong size")
     refused(raw, raw.deserialise(handle, data + b"\0")[0], "wrong size")
@@ -500,7 +600,7 @@ def damaged_bytes(raw: Raw) -> None:
     alive(raw, handle)
 
 
-# -- logging ---------------------------------------------------------------------------------------------------------
+# -- logging ---------------------------------------------------------------------------------------
 
 
 @case
@@ -522,8 +622,14 @@ def logging_is_filtered(raw: Raw) -> None:
     assert messages() == 0
     assert raw.call("SetDebugLogging", handle, True, 1, category) == OK
     assert messages() == 1
-    refused(raw, raw.call("SetDebugLogging", handle, True, 1, (ctypes.c_char_p * 1)(b"logEverything")), "category")
-    refused(raw, raw.call("SetDebugLogging", handle, True, 1, (ctypes.c_char_p * 1)(None)), "category")
+    refused(
+        raw,
+        raw.call("SetDebugLogging", handle, True, 1, (ctypes.c_char_p * 1)(b"logEverything")),
+        "category",
+    )
+    refused(
+        raw, raw.call("SetDebugLogging", handle, True, 1, (ctypes.c_char_p * 1)(None)), "category"
+    )
     refused(raw, raw.call("SetDebugLogging", handle, True, 1, null), "NULL")
 
 

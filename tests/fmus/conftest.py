@@ -1,4 +1,6 @@
-"""What the tests of the FMUs share: built FMUs, unpacked, and their libraries called without a layer in between."""
+"""What the tests of the FMUs share: built FMUs, unpacked, and their libraries called without a
+layer in between.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,11 @@ class Built:
         return {"library": str(library), "fmi": self.fmi, "token": self.description.guid, "vr": vr}
 
     def names(self, causality: str, kinds: tuple[str, ...] = ("Real", "Float64")) -> list[str]:
-        return [v.name for v in self.description.modelVariables if v.causality == causality and v.type in kinds]
+        return [
+            v.name
+            for v in self.description.modelVariables
+            if v.causality == causality and v.type in kinds
+        ]
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,9 @@
-"""A good FMU of FMI 2 and one of FMI 3, and the defects that can be put into them, each with the points that have to find it.
+"""A good FMU of FMI 2 and one of FMI 3, and the defects that can be put into them, each with the
+points that have to find it.
 
-A defect of behaviour is the value of the environment variable MUTANT, which the FMUs read (mutant.c); one of the archive or the
-description is a function that changes the entries of the archive.
+A defect of behaviour is the value of the environment variable MUTANT, which the FMUs read
+(mutant.c); one of the archive or the description is a function that changes the entries of the
+archive.
 """
 
 from __future__ import annotations
@@ -20,9 +22,13 @@ from bristle.model.compiler import find_compiler
 
 HERE = Path(__file__).parent
 SOURCE = HERE / "mutant.c"
-ABILITIES = 'modelIdentifier="good" canGetAndSet{0}="true" canSerialize{0}="true" providesDirectionalDerivative{1}="true"'
+ABILITIES = (
+    'modelIdentifier="good" canGetAndSet{0}="true" canSerialize{0}="true"'
+    ' providesDirectionalDerivative{1}="true"'
+)
 XML = {
-    2: f"""<?xml version="1.0" encoding="UTF-8"?>
+    2: (
+        f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="good" guid="{{good}}" numberOfEventIndicators="1">
 <ModelExchange {ABILITIES.format("FMUstate", "")}/>
 <CoSimulation {ABILITIES.format("FMUstate", "")} canHandleVariableCommunicationStepSize="true"/>
@@ -48,8 +54,10 @@ XML = {
 <InitialUnknowns><Unknown index="4" dependencies="1 2 3"/><Unknown index="5" dependencies="1 2 3"/></InitialUnknowns>
 </ModelStructure>
 </fmiModelDescription>
-""",
-    3: f"""<?xml version="1.0" encoding="UTF-8"?>
+"""
+    ),
+    3: (
+        f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="good" instantiationToken="{{good}}">
 <ModelExchange {ABILITIES.format("FMUState", "s")} providesAdjointDerivatives="true"/>
 <CoSimulation {ABILITIES.format("FMUState", "s")} canHandleVariableCommunicationStepSize="true" hasEventMode="true"/>
@@ -78,44 +86,142 @@ XML = {
 <EventIndicator valueReference="7"/>
 </ModelStructure>
 </fmiModelDescription>
-""",
-}  # fmt: skip
+"""
+    ),
+}
 
-BEHAVIOUR_MUTANTS: list[tuple[str, int, str]] = [  # value of MUTANT, version of FMI, point that has to find it
-    *((name, 2, point) for name, point in {
-        "start": "run-starts", "startinteger": "run-starts", "startstring": "run-starts", "nan": "run-finite",
-        "range": "run-range", "locked": "run-readable", "nullstring": "run-readable", "unset": "run-settable",
-        "initialq": "run-dependencies", "stepq": "run-feedthrough", "slope": "run-derivatives", "noslope": "run-derivatives",
-        "again": "run-again", "reset": "run-reset", "shared": "run-two", "reload": "run-reload", "unload": "run-reload",
-        "threads": "run-threads", "leak": "run-memory", "leakinstance": "run-freed", "leakword": "run-freed",
-        "leakstate": "run-states-freed", "jump": "run-jump", "resetinput": "run-reset", "othertype": "run-unknown",
-        "lastknown": "exchange-derivatives", "handles": "run-handles", "startthread": "run-handles", "chdir": "run-environment",
-        "rounding": "run-environment", "signal": "run-environment", "mask": "run-environment", "file": "run-files",
-        "ownfile": "run-files", "folder": "run-folder", "loud": "run-quiet", "loudout": "run-quiet", "state": "run-state",
-        "stateonce": "run-state-again", "stateafter": "run-state-again", "refill": "run-state-again", "bytes": "run-bytes",
-        "pointer": "run-process", "table": "run-process", "failing": "run-experiment", "latenan": "run-experiment",
-        "percall": "run-convergence", "ownstep": "run-convergence", "firststep": "run-split", "noise": "run-noise",
-        "later": "run-later", "back": "run-back", "zero": "run-zero", "zeronan": "run-zero", "odd": "run-odd",
-        "hugehang": "run-huge", "hugenan": "run-huge", "large": "run-large", "naninput": "run-nan", "version": "run-version",
-        "platform": "run-version", "token": "run-token", "name": "run-name", "nullfree": "run-null", "nullarray": "run-null",
-        "nullstate": "run-null", "unknown": "run-unknown", "early": "run-early", "late": "run-late", "twice": "run-twice",
-        "exit": "run-twice", "fixed": "run-fixed", "computed": "run-computed", "resetearly": "run-legal", "ended": "run-legal",
-        "freenew": "run-legal", "logsame": "run-log-same", "logoff": "run-log-off", "logcategory": "run-log-categories",
-        "logset": "run-log-set", "crash": "run-life", "uninitialised": "run-uninitialised", "setone": "run-many",
-        "getone": "run-many", "forgets": "run-kept", "order": "exchange-order", "resetparameter": "run-reset",
-        "stateinput": "run-state", "stateparameter": "run-bytes", "sharedparameter": "run-two", "endless": "exchange-life",
-        "completed": "exchange-life", "exchangenan": "exchange-finite", "indicators": "exchange-finite",
-        "float": "exchange-states", "nominals": "exchange-nominals", "impure": "exchange-pure", "exchangereset": "exchange-again",
-        "exchangeq": "exchange-dependencies", "exchangeslope": "exchange-derivatives", "exchangehalf": "exchange-agrees",
-    }.items()),
-    *((name, 3, point) for name, point in {
-        "state": "exchange-state", "last": "run-last-time", "early return": "run-last-time", "noevents": "run-events",
-        "endless": "run-events", "nostates": "exchange-counts", "noindicators": "exchange-counts", "nulllog": "run-null",
-        "sizes": "run-sizes", "adjoint": "exchange-adjoint", "start": "run-starts", "reset": "run-reset", "bytes": "run-bytes",
-        "threads": "run-threads", "slope": "run-derivatives", "exchangeslope": "exchange-derivatives", "pointer": "run-process",
-        "firststep": "run-split",
-    }.items()),
-]  # fmt: skip
+# value of MUTANT, version of FMI, point that has to find it
+BEHAVIOUR_MUTANTS: list[tuple[str, int, str]] = [
+    *(
+        (name, 2, point)
+        for name, point in {
+            "start": "run-starts",
+            "startinteger": "run-starts",
+            "startstring": "run-starts",
+            "nan": "run-finite",
+            "range": "run-range",
+            "locked": "run-readable",
+            "nullstring": "run-readable",
+            "unset": "run-settable",
+            "initialq": "run-dependencies",
+            "stepq": "run-feedthrough",
+            "slope": "run-derivatives",
+            "noslope": "run-derivatives",
+            "again": "run-again",
+            "reset": "run-reset",
+            "shared": "run-two",
+            "reload": "run-reload",
+            "unload": "run-reload",
+            "threads": "run-threads",
+            "leak": "run-memory",
+            "leakinstance": "run-freed",
+            "leakword": "run-freed",
+            "leakstate": "run-states-freed",
+            "jump": "run-jump",
+            "resetinput": "run-reset",
+            "othertype": "run-unknown",
+            "lastknown": "exchange-derivatives",
+            "handles": "run-handles",
+            "startthread": "run-handles",
+            "chdir": "run-environment",
+            "rounding": "run-environment",
+            "signal": "run-environment",
+            "mask": "run-environment",
+            "file": "run-files",
+            "ownfile": "run-files",
+            "folder": "run-folder",
+            "loud": "run-quiet",
+            "loudout": "run-quiet",
+            "state": "run-state",
+            "stateonce": "run-state-again",
+            "stateafter": "run-state-again",
+            "refill": "run-state-again",
+            "bytes": "run-bytes",
+            "pointer": "run-process",
+            "table": "run-process",
+            "failing": "run-experiment",
+            "latenan": "run-experiment",
+            "percall": "run-convergence",
+            "ownstep": "run-convergence",
+            "firststep": "run-split",
+            "noise": "run-noise",
+            "later": "run-later",
+            "back": "run-back",
+            "zero": "run-zero",
+            "zeronan": "run-zero",
+            "odd": "run-odd",
+            "hugehang": "run-huge",
+            "hugenan": "run-huge",
+            "large": "run-large",
+            "naninput": "run-nan",
+            "version": "run-version",
+            "platform": "run-version",
+            "token": "run-token",
+            "name": "run-name",
+            "nullfree": "run-null",
+            "nullarray": "run-null",
+            "nullstate": "run-null",
+            "unknown": "run-unknown",
+            "early": "run-early",
+            "late": "run-late",
+            "twice": "run-twice",
+            "exit": "run-twice",
+            "fixed": "run-fixed",
+            "computed": "run-computed",
+            "resetearly": "run-legal",
+            "ended": "run-legal",
+            "freenew": "run-legal",
+            "logsame": "run-log-same",
+            "logoff": "run-log-off",
+            "logcategory": "run-log-categories",
+            "logset": "run-log-set",
+            "crash": "run-life",
+            "uninitialised": "run-uninitialised",
+            "setone": "run-many",
+            "getone": "run-many",
+            "forgets": "run-kept",
+            "order": "exchange-order",
+            "resetparameter": "run-reset",
+            "stateinput": "run-state",
+            "stateparameter": "run-bytes",
+            "sharedparameter": "run-two",
+            "endless": "exchange-life",
+            "completed": "exchange-life",
+            "exchangenan": "exchange-finite",
+            "indicators": "exchange-finite",
+            "float": "exchange-states",
+            "nominals": "exchange-nominals",
+            "impure": "exchange-pure",
+            "exchangereset": "exchange-again",
+            "exchangeq": "exchange-dependencies",
+            "exchangeslope": "exchange-derivatives",
+            "exchangehalf": "exchange-agrees",
+        }.items()
+    ),
+    *(
+        (name, 3, point)
+        for name, point in {
+            "state": "exchange-state",
+            "last": "run-last-time",
+            "early return": "run-last-time",
+            "noevents": "run-events",
+            "endless": "run-events",
+            "nostates": "exchange-counts",
+            "noindicators": "exchange-counts",
+            "nulllog": "run-null",
+            "sizes": "run-sizes",
+            "adjoint": "exchange-adjoint",
+            "start": "run-starts",
+            "reset": "run-reset",
+            "bytes": "run-bytes",
+            "threads": "run-threads",
+            "slope": "run-derivatives",
+            "exchangeslope": "exchange-derivatives",
+            "pointer": "run-process",
+            "firststep": "run-split",
+        }.items()
+    ),
+]
 
 
 def functions(fmi: int) -> list[str]:
@@ -127,14 +233,29 @@ def functions(fmi: int) -> list[str]:
 def compile_good(fmi: int, folder: Path, *flags: str) -> Path:
     """Compile the good library of an FMI version and return its path."""
     source = SOURCE.read_text(encoding="utf-8")
-    there = set(re.findall(rf"\b(fmi{fmi}\w+)\(", source)) | {f"fmi{fmi}{name}" for name in re.findall(r"\bF\((\w+)\)", source)}
+    there = set(re.findall(rf"\b(fmi{fmi}\w+)\(", source)) | {
+        f"fmi{fmi}{name}" for name in re.findall(r"\bF\((\w+)\)", source)
+    }
     word = "FMUstate" if fmi == 2 else "FMUState"
-    there |= {f"fmi{fmi}{verb}{word}" for verb in ("Get", "Set", "Free", "Serialize")} | {f"fmi{fmi}Serialized{word}Size"}
+    there |= {f"fmi{fmi}{verb}{word}" for verb in ("Get", "Set", "Free", "Serialize")} | {
+        f"fmi{fmi}Serialized{word}Size"
+    }
     there |= {f"fmi2DeSerialize{word}", f"fmi3Deserialize{word}"}
-    stubs = "".join(f"E int {name}(void) {{ return ERROR; }}\n" for name in functions(fmi) if name not in there)
+    stubs = "".join(
+        f"E int {name}(void) {{ return ERROR; }}\n" for name in functions(fmi) if name not in there
+    )
     unit, library = folder / f"good{fmi}.c", folder / f"good{fmi}.so"
     unit.write_text(f"#define FMI {fmi}\n{source}{stubs}", encoding="utf-8")
-    command = [*find_compiler(), "-std=gnu99", "-O0", "-w", "-shared", "-fPIC", "-fvisibility=hidden", str(unit)]
+    command = [
+        *find_compiler(),
+        "-std=gnu99",
+        "-O0",
+        "-w",
+        "-shared",
+        "-fPIC",
+        "-fvisibility=hidden",
+        str(unit),
+    ]
     subprocess.run([*command, "-o", str(library), "-lm", *flags], check=True)
     return library
 
@@ -159,7 +280,7 @@ def pack(path: Path, entries: dict[str, bytes]) -> Path:
     return path
 
 
-# -- defects of the archive and the description --------------------------------------------------------------------------
+# -- defects of the archive and the description ----------------------------------------------------
 
 Entries = dict[str, bytes]
 Change = Callable[[Entries], None]
@@ -250,11 +371,13 @@ def _for_arm(part: Any) -> None:
     part.header.machine_type = lief.ELF.ARCH.AARCH64
 
 
-CVODE = {  # of FMPy: they need another library, and the one for macOS looks for it where it was built
+# of FMPy: they need another library, and the one for macOS looks for it where it was built
+CVODE = {
     "windows": "sundials/x86_64-windows/sundials_cvode.dll",
     "darwin": "sundials/aarch64-darwin/sundials_cvode.dylib",
 }
-STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, version of FMI, change
+# point that has to find it, version of FMI, change
+STATIC_MUTANTS: list[tuple[str, int, Change]] = [
     ("archive-description", 3, rename("modelDescription.xml", "m/modelDescription.xml")),
     ("archive-description", 3, swap("</ModelVariables>", "")),
     ("archive-paths", 3, rename("documentation/index.html", "../index.html")),
@@ -272,14 +395,40 @@ STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, 
     ("binary-folder", 2, rename(LIBRARY[2], "binaries/win64/good.dll")),
     ("binary-folder", 2, add("binaries/linux64/good.dll")),
     ("binary-folder", 2, edited(_for_arm)),
-    ("binary-functions", 2, library(lambda data: data.replace(b"fmi2CancelStep", b"fmi2CancelStop"))),
-    ("binary-functions", 3, library(lambda data: data.replace(b"fmi3GetClock", b"fmi3GotClock"), 3)),
+    (
+        "binary-functions",
+        2,
+        library(lambda data: data.replace(b"fmi2CancelStep", b"fmi2CancelStop")),
+    ),
+    (
+        "binary-functions",
+        3,
+        library(lambda data: data.replace(b"fmi3GetClock", b"fmi3GotClock"), 3),
+    ),
     ("binary-needs", 2, edited(lambda part: part.add_library("libgfortran.so.5"))),
     ("binary-needs", 2, edited(lambda part: part.add_library("/opt/tool/libc.so.6"))),
-    ("binary-needs", 2, lambda entries: entries.update({"binaries/win64/a.dll": of_fmpy(CVODE["windows"])})),
-    ("binary-needs", 2, lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])})),
-    ("binary-search", 2, lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])})),
-    ("binary-folder", 2, lambda entries: entries.update({"binaries/win64/a.dll": of_fmpy("logging/win32/logging.dll")})),
+    (
+        "binary-needs",
+        2,
+        lambda entries: entries.update({"binaries/win64/a.dll": of_fmpy(CVODE["windows"])}),
+    ),
+    (
+        "binary-needs",
+        2,
+        lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])}),
+    ),
+    (
+        "binary-search",
+        2,
+        lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])}),
+    ),
+    (
+        "binary-folder",
+        2,
+        lambda entries: entries.update(
+            {"binaries/win64/a.dll": of_fmpy("logging/win32/logging.dll")}
+        ),
+    ),
     ("binary-search", 2, edited(_entry("rpath", "/opt/tool/lib"))),
     ("binary-search", 2, edited(_entry("runpath", "$ORIGIN:/opt/tool/lib"))),
     ("binary-stack", 2, edited(_executable_stack)),
@@ -304,14 +453,22 @@ STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, 
     ("description-integers", 2, swap('<Integer start="3"/>', '<Integer start="3000000000"/>')),
     ("description-integers", 3, swap('fixed" start="3"', 'fixed" start="3.5"')),
     ("description-items", 2, swap('value="2"', 'value="1"')),
-    ("description-items", 2, swap('<Integer start="3"/>', '<Enumeration declaredType="Mode" start="3"/>')),
-    ("description-references", 2, swap('name="q" valueReference="6"', 'name="q" valueReference="1"')),
+    (
+        "description-items",
+        2,
+        swap('<Integer start="3"/>', '<Enumeration declaredType="Mode" start="3"/>'),
+    ),
+    (
+        "description-references",
+        2,
+        swap('name="q" valueReference="6"', 'name="q" valueReference="1"'),
+    ),
     ("description-states", 2, swap('derivative="3"', 'derivative="9"')),
     ("description-states", 3, swap('derivative="3"', 'derivative="99"')),
     ("description-abilities", 2, swap('canGetAndSetFMUstate="true"', "")),
     ("description-times", 2, swap('stopTime="1"', 'stopTime="0"')),
     ("description-times", 2, swap('stepSize="0.001"', 'stepSize="-1"')),
-]  # fmt: skip
+]
 
 
 def of_fmpy(path: str) -> bytes:
@@ -320,7 +477,9 @@ def of_fmpy(path: str) -> bytes:
 
 
 def pack_badly(point: str, path: Path, entries: Entries) -> Path:
-    """Write an FMU whose archive has the defect that a point has to find, where entries alone cannot have it."""
+    """Write an FMU whose archive has the defect that a point has to find, where entries alone
+    cannot have it.
+    """
     if point == "archive-method":
         with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
             for name, data in entries.items():
@@ -328,7 +487,10 @@ def pack_badly(point: str, path: Path, entries: Entries) -> Path:
         return path
     pack(path, entries)
     with zipfile.ZipFile(path, "a") as archive:
-        extra = zipfile.ZipInfo({"archive-twice": "modelDescription.xml"}.get(point, "resources/extra"), (2000, 1, 1, 0, 0, 0))
+        extra = zipfile.ZipInfo(
+            {"archive-twice": "modelDescription.xml"}.get(point, "resources/extra"),
+            (2000, 1, 1, 0, 0, 0),
+        )
         if point == "archive-links":
             extra.external_attr = (stat.S_IFLNK | 0o777) << 16
         if point == "archive-times":
@@ -341,4 +503,10 @@ def pack_badly(point: str, path: Path, entries: Entries) -> Path:
     return path
 
 
-PACKING_MUTANTS = ("archive-method", "archive-twice", "archive-links", "archive-times", "archive-whole")
+PACKING_MUTANTS = (
+    "archive-method",
+    "archive-twice",
+    "archive-links",
+    "archive-times",
+    "archive-whole",
+)

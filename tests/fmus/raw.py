@@ -1,6 +1,8 @@
-"""The functions of an FMU's library called as a host in C would call them: no checks in between, nothing imported but ctypes.
+"""The functions of an FMU's library called as a host in C would call them: no checks in between,
+nothing imported but ctypes.
 
-Run as a script it executes one case of abuse.py (see there), so that a crash ends a process and not the tests.
+Run as a script it executes one case of abuse.py (see there), so that a crash ends a process and not
+the tests.
 """
 
 from __future__ import annotations
@@ -11,8 +13,22 @@ from typing import Any
 
 OK, ERROR = 0, 3
 STATE = {  # get, set, free, size, serialise, deserialise
-    2: ("GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"),
-    3: ("GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"),
+    2: (
+        "GetFMUstate",
+        "SetFMUstate",
+        "FreeFMUstate",
+        "SerializedFMUstateSize",
+        "SerializeFMUstate",
+        "DeSerializeFMUstate",
+    ),
+    3: (
+        "GetFMUState",
+        "SetFMUState",
+        "FreeFMUState",
+        "SerializedFMUStateSize",
+        "SerializeFMUState",
+        "DeserializeFMUState",
+    ),
 }
 LOGGER = {
     2: ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p),
@@ -23,7 +39,13 @@ LOGGER = {
 class Callbacks(ctypes.Structure):
     """fmi2CallbackFunctions."""
 
-    _fields_ = [("logger", c_void_p), ("allocate", c_void_p), ("free", c_void_p), ("finished", c_void_p), ("environment", c_void_p)]
+    _fields_ = [
+        ("logger", c_void_p),
+        ("allocate", c_void_p),
+        ("free", c_void_p),
+        ("finished", c_void_p),
+        ("environment", c_void_p),
+    ]
 
 
 def convert(argument: Any) -> Any:
@@ -44,8 +66,16 @@ class Raw:
         self.library = ctypes.CDLL(info["library"])
         self.fmi, self.token, self.vr = info["fmi"], info["token"].encode(), info["vr"]
         self.messages: list[tuple[int, bytes, bytes]] = []
-        log2 = LOGGER[2](lambda environment, name, status, category, text: self.messages.append((status, category, text)))
-        log3 = LOGGER[3](lambda environment, status, category, text: self.messages.append((status, category, text)))
+        log2 = LOGGER[2](
+            lambda environment, name, status, category, text: self.messages.append(
+                (status, category, text)
+            )
+        )
+        log3 = LOGGER[3](
+            lambda environment, status, category, text: self.messages.append(
+                (status, category, text)
+            )
+        )
         self.logger = log2 if self.fmi == 2 else log3
         self.callbacks = Callbacks(ctypes.cast(self.logger, c_void_p), None, None, None, None)
 
@@ -56,15 +86,27 @@ class Raw:
         return int(function(*map(convert, arguments)))
 
     def instantiate(
-        self, kind: str = "cs", name: Any = b"one", token: Any = ..., logging: bool = True, callbacks: Any = ...
+        self,
+        kind: str = "cs",
+        name: Any = b"one",
+        token: Any = ...,
+        logging: bool = True,
+        callbacks: Any = ...,
     ) -> int:
         """Return a handle, or 0."""
         token = self.token if token is ... else token
         if self.fmi == 2:
-            function, given = self.library.fmi2Instantiate, ctypes.byref(self.callbacks) if callbacks is ... else callbacks
+            function, given = (
+                self.library.fmi2Instantiate,
+                ctypes.byref(self.callbacks) if callbacks is ... else callbacks,
+            )
             arguments = (name, 1 if kind == "cs" else 0, token, b"", given, 0, int(logging))
         else:
-            function = self.library.fmi3InstantiateCoSimulation if kind == "cs" else self.library.fmi3InstantiateModelExchange
+            function = (
+                self.library.fmi3InstantiateCoSimulation
+                if kind == "cs"
+                else self.library.fmi3InstantiateModelExchange
+            )
             logger = ctypes.cast(self.logger, c_void_p) if callbacks is ... else callbacks
             middle = (False, False, None, 0) if kind == "cs" else ()
             end = (None,) if kind == "cs" else ()
@@ -80,7 +122,9 @@ class Raw:
             return status or self.call("EnterInitializationMode", handle)
         return self.call("EnterInitializationMode", handle, False, 0.0, *times)
 
-    def start(self, handle: int, start: float = 0.0, stop: float | None = None, **values: float) -> int:
+    def start(
+        self, handle: int, start: float = 0.0, stop: float | None = None, **values: float
+    ) -> int:
         """Go through initialization with some values set."""
         status = self.enter(handle, start, stop)
         for name, value in values.items():
@@ -104,9 +148,13 @@ class Raw:
             return "Boolean", (c_int if self.fmi == 2 else ctypes.c_bool)
         if kind == "Int32":
             return ("Integer" if self.fmi == 2 else "Int32"), c_int
-        return ("Integer" if self.fmi == 2 else "Int64"), (c_int if self.fmi == 2 else ctypes.c_int64)
+        return ("Integer" if self.fmi == 2 else "Int64"), (
+            c_int if self.fmi == 2 else ctypes.c_int64
+        )
 
-    def _access(self, verb: str, handle: int, kind: str, references: Any, values: Any, n: int) -> int:
+    def _access(
+        self, verb: str, handle: int, kind: str, references: Any, values: Any, n: int
+    ) -> int:
         count = (n,) if self.fmi == 3 else ()
         return self.call(f"{verb}{self._typed(kind)[0]}", handle, references, n, values, *count)
 
@@ -121,7 +169,9 @@ class Raw:
 
     def get(self, handle: int, *names: str | int) -> list[float]:
         values = (c_double * len(names))()
-        assert self._access("Get", handle, "Real", self.references(*names), values, len(names)) == OK, self.messages
+        assert (
+            self._access("Get", handle, "Real", self.references(*names), values, len(names)) == OK
+        ), self.messages
         return list(values)
 
     def step(self, handle: int, point: float, h: float) -> int:
@@ -134,7 +184,7 @@ class Raw:
     def free(self, handle: int) -> None:
         self.call("FreeInstance", handle)
 
-    # -- states of the whole instance --------------------------------------------------------------------------------
+    # -- states of the whole instance --------------------------------------------------------------
 
     def get_state(self, handle: int, state: c_void_p | None = None) -> tuple[int, c_void_p]:
         state = c_void_p(None) if state is None else state
@@ -157,7 +207,9 @@ class Raw:
         state = c_void_p(None)
         return self.call(STATE[self.fmi][5], handle, data, len(data), ctypes.byref(state)), state
 
-    def derivative(self, handle: int, unknowns: list[str], knowns: list[str], seed: list[float]) -> tuple[int, list[float]]:
+    def derivative(
+        self, handle: int, unknowns: list[str], knowns: list[str], seed: list[float]
+    ) -> tuple[int, list[float]]:
         """Return (status, directional derivative)."""
         out = (c_double * len(unknowns))()
         seeds = (c_double * len(knowns))(*seed)

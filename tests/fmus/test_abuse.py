@@ -1,4 +1,6 @@
-"""Misuse ends in an FMI error: never a crash, never silence. Each case runs in a process of its own."""
+"""Misuse ends in an FMI error: never a crash, never silence. Each case runs in a process of its
+own.
+"""
 
 import json
 import re
@@ -35,7 +37,14 @@ def copies(built, tmp_path_factory):
 @pytest.mark.parametrize("case", CASES)
 def test_misuse_is_an_error(built, copies, fmi, case):
     header = str(files("fmpy") / "c-code" / HEADER[fmi])
-    command = [sys.executable, str(SCRIPT), json.dumps(built("plant", fmi=fmi).info), case, header, str(copies(fmi))]
+    command = [
+        sys.executable,
+        str(SCRIPT),
+        json.dumps(built("plant", fmi=fmi).info),
+        case,
+        header,
+        str(copies(fmi)),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""

@@ -1,4 +1,6 @@
-"""Points of behaviour: a good FMU has no finding, and each point finds the mutants that are made for it."""
+"""Points of behaviour: a good FMU has no finding, and each point finds the mutants that are made
+for it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,17 @@ from xml.etree import ElementTree
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.fmus.conformance import BEHAVIOUR, POINTS, Result, Severity, Verdict, conformance, junit, running, sarif
+from bristle.fmus.conformance import (
+    BEHAVIOUR,
+    POINTS,
+    Result,
+    Severity,
+    Verdict,
+    conformance,
+    junit,
+    running,
+    sarif,
+)
 from bristle.fmus.conformance.process import Task, judged
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -30,14 +42,24 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
 def test_a_good_fmu_has_no_finding(fmi: int, good: dict[int, Path]) -> None:
     results = conformance(good[fmi])
     not_passed = {r.point.id: r for r in results if r.verdict is not Verdict.passed}
-    assert {name: r.findings for name, r in not_passed.items() if r.verdict is not Verdict.not_applicable} == {}
+    assert {
+        name: r.findings
+        for name, r in not_passed.items()
+        if r.verdict is not Verdict.not_applicable
+    } == {}
     assert set(not_passed) == (ONLY_FMI_3 if fmi == 2 else set())
     assert set(BEHAVIOUR) <= {r.point.id for r in results}
 
 
 def test_each_mutant_is_found_by_the_point_made_for_it(good: dict[int, Path]) -> None:
-    rows = judged([Task(good[fmi], point, {"MUTANT": name}) for name, fmi, point in BEHAVIOUR_MUTANTS])
-    assert [m for m, row in zip(BEHAVIOUR_MUTANTS, rows, strict=True) if row["verdict"] is not Verdict.failed] == []
+    rows = judged(
+        [Task(good[fmi], point, {"MUTANT": name}) for name, fmi, point in BEHAVIOUR_MUTANTS]
+    )
+    assert [
+        m
+        for m, row in zip(BEHAVIOUR_MUTANTS, rows, strict=True)
+        if row["verdict"] is not Verdict.failed
+    ] == []
     assert all(row["findings"] for row in rows)
 
 
@@ -47,9 +69,14 @@ def test_every_point_has_a_mutant() -> None:
 
 @pytest.mark.parametrize(
     ("mutant", "words"),
-    [("crash", "crashed (SIGABRT) during fmi2DoStep"), ("hang", "took longer than 1.5 s during fmi2DoStep")],
+    [
+        ("crash", "crashed (SIGABRT) during fmi2DoStep"),
+        ("hang", "took longer than 1.5 s during fmi2DoStep"),
+    ],
 )
-def test_a_crash_or_a_hang_is_a_finding(mutant: str, words: str, good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crash_or_a_hang_is_a_finding(
+    mutant: str, words: str, good: dict[int, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(running, "POINT_SECONDS", 1.5)
     [row] = judged([Task(good[2], "run-finite", {"MUTANT": mutant})])
     assert (row["verdict"], row["findings"]) == (Verdict.failed, [words])
@@ -74,7 +101,9 @@ def test_what_is_not_claimed_is_not_applicable(good: dict[int, Path], tmp_path: 
     assert "does not claim" in row["findings"][0]
 
 
-def test_where_its_life_fails_nothing_more_is_tested(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_its_life_fails_nothing_more_is_tested(
+    good: dict[int, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MUTANT", "crash")
     results = {r.point.id: r for r in conformance(good[2])}
     assert results["run-life"].findings == ("crashed (SIGABRT) during fmi2DoStep",)
@@ -87,12 +116,22 @@ def test_model_exchange_alone(good: dict[int, Path], tmp_path: Path) -> None:
     with zipfile.ZipFile(good[3]) as old, zipfile.ZipFile(other, "w") as new:
         for name in old.namelist():
             lines = old.read(name).splitlines(keepends=True)
-            new.writestr(name, b"".join(line for line in lines if not line.startswith(b"<CoSimulation")))
-    rows = judged([Task(other, "exchange-finite"), Task(other, "run-finite"), Task(other, "exchange-agrees")])
-    assert [row["verdict"] for row in rows] == [Verdict.passed, Verdict.not_applicable, Verdict.not_applicable]
+            new.writestr(
+                name, b"".join(line for line in lines if not line.startswith(b"<CoSimulation"))
+            )
+    rows = judged(
+        [Task(other, "exchange-finite"), Task(other, "run-finite"), Task(other, "exchange-agrees")]
+    )
+    assert [row["verdict"] for row in rows] == [
+        Verdict.passed,
+        Verdict.not_applicable,
+        Verdict.not_applicable,
+    ]
 
 
-def test_an_fmu_without_a_library_for_this_machine_is_not_tested(good: dict[int, Path], tmp_path: Path) -> None:
+def test_an_fmu_without_a_library_for_this_machine_is_not_tested(
+    good: dict[int, Path], tmp_path: Path
+) -> None:
     with zipfile.ZipFile(good[2]) as old:
         entries = {name.replace("linux64", "win64"): old.read(name) for name in old.namelist()}
     results = conformance(pack(tmp_path / "other.fmu", entries))
@@ -103,7 +142,9 @@ def test_an_fmu_without_a_library_for_this_machine_is_not_tested(good: dict[int,
 def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[Result]:
     """Results where each point of behaviour fails and no other."""
     rows = [{"id": name, "verdict": Verdict.passed, "findings": []} for name in POINTS]
-    rows += [{"id": name, "verdict": Verdict.failed, "findings": ["bad \x1b<>"]} for name in BEHAVIOUR]
+    rows += [
+        {"id": name, "verdict": Verdict.failed, "findings": ["bad \x1b<>"]} for name in BEHAVIOUR
+    ]
     monkeypatch.setattr("bristle.fmus.conformance.judgement.examined", lambda path, tell: rows)
     return conformance(good[2])
 
@@ -111,7 +152,9 @@ def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[Resu
 def test_the_results_as_junit(good: dict[int, Path], results: list[Result]) -> None:
     suite = ElementTree.fromstring(junit(good[2], results))
     assert suite.get("failures") == str(len(BEHAVIOUR))
-    assert {case.get("name") for case in suite if case.find("failure") is not None} == set(BEHAVIOUR)
+    assert {case.get("name") for case in suite if case.find("failure") is not None} == set(
+        BEHAVIOUR
+    )
 
 
 def test_the_results_as_sarif(good: dict[int, Path], results: list[Result]) -> None:

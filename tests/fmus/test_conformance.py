@@ -1,4 +1,6 @@
-"""Points of archive, libraries and description: a good FMU has no finding, and each point finds the defects made for it."""
+"""Points of archive, libraries and description: a good FMU has no finding, and each point finds the
+defects made for it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The controller's equations: its generator, the statistics of its reference, its timing and its anti-windup."""
+"""The controller's equations: its generator, the statistics of its reference, its timing and its
+anti-windup.
+"""
 
 import itertools
 import math
@@ -15,13 +17,17 @@ OPEN = {"clip": 1e4}
 
 
 def reference(n, **parameters):
-    record, _ = Native(program_of("controller"), OPEN | parameters).run(H, {"y_v": np.zeros(n)}, ["reference"])
+    record, _ = Native(program_of("controller"), OPEN | parameters).run(
+        H, {"y_v": np.zeros(n)}, ["reference"]
+    )
     return record[:, 0]
 
 
 def test_the_generator_is_park_and_millers_exactly():
     program = program_of("controller")
-    record, _ = Native(program, {"seed": 5}).run(H, {"y_v": np.zeros(20_000)}, ["controller.random"])
+    record, _ = Native(program, {"seed": 5}).run(
+        H, {"y_v": np.zeros(20_000)}, ["controller.random"]
+    )
     state = int(record[0, 0])
     assert 0 < state < MODULUS
     for value in record[:, 0]:
@@ -30,7 +36,9 @@ def test_the_generator_is_park_and_millers_exactly():
 
 
 def test_ten_thousand_draws_from_one():
-    """The check value of the generator's authors: from 1, the 10 000th draw after it is 1043618065."""
+    """The check value of the generator's authors: from 1, the 10 000th draw after it is
+    1043618065.
+    """
     state = 1
     for _ in range(10_000):
         state = MULTIPLIER * state % MODULUS
@@ -39,10 +47,15 @@ def test_ten_thousand_draws_from_one():
 
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_rms_before_clipping(order):
-    """Over 12 seeds of 500 s the mean square is that asked for; its standard error follows from the correlation time."""
+    """Over 12 seeds of 500 s the mean square is that asked for; its standard error follows from the
+    correlation time.
+    """
     wanted = math.radians(120.0)
-    squares = [np.mean(reference(500_000, seed=float(seed), order=order) ** 2) for seed in range(1, 13)]
-    # var(mean of x^2) = 2 wanted^4 times the integral of the squared autocorrelation over the length
+    squares = [
+        np.mean(reference(500_000, seed=float(seed), order=order) ** 2) for seed in range(1, 13)
+    ]
+    # var(mean of x^2) = 2 wanted^4 times the integral of the squared autocorrelation over the
+    # length
     correlation = {1.0: 1.0 / 5.0, 2.0: 5.0 / (4.0 * 5.0)}[order]  # s
     error = wanted**2 * math.sqrt(2.0 * correlation / 6000.0)
     assert abs(np.mean(squares) - wanted**2) < 3.5 * error
@@ -64,16 +77,22 @@ def test_the_start_is_stationary(order):
     starts = np.array(starts)
     names = ["controller.x1", "controller.x2"][: int(order)]
     record, _ = Native(program, {"order": order}).run(H, {"y_v": np.zeros(1_000_000)}, names)
-    np.testing.assert_allclose(starts.T @ starts / len(starts), record.T @ record / len(record), rtol=0.12)
+    np.testing.assert_allclose(
+        starts.T @ starts / len(starts), record.T @ record / len(record), rtol=0.12
+    )
     assert np.all(np.abs(starts.mean(axis=0)) < 4.0 * starts.std(axis=0) / math.sqrt(2000))
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_seeds_give_unrelated_references(order):
-    """Also neighbouring seeds, whose plain streams would be small multiples of each other (correlation 1/k)."""
+    """Also neighbouring seeds, whose plain streams would be small multiples of each other
+    (correlation 1/k).
+    """
     records = np.array([reference(400_000, seed=float(seed), order=order) for seed in range(1, 13)])
     table = np.corrcoef(records)
-    assert max(abs(table[a, b]) for a, b in itertools.combinations(range(12), 2)) < 4.5 / math.sqrt(400.0 / 0.25)
+    assert max(abs(table[a, b]) for a, b in itertools.combinations(range(12), 2)) < 4.5 / math.sqrt(
+        400.0 / 0.25
+    )
 
 
 def test_clipping():
@@ -114,21 +133,40 @@ def test_control_law_timing_and_anti_windup(built, Raw, limit):
     assert np.any(np.abs(expected) == limit) == (limit == 3.0) or limit == 24.0
 
 
-# -- feed-forward and compensation -----------------------------------------------------------------------------------
+# -- feed-forward and compensation -----------------------------------------------------------------
 
-TRUE = {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0, "load": 0.7}
+TRUE = {
+    "alpha2": 2.0,
+    "b": 6.5,
+    "Fc": 4.0,
+    "sigma0": 600.0,
+    "sigma1": 800.0,
+    "sigma2": 300.0,
+    "c": 150.0,
+    "load": 0.7,
+}
 
 
 STATES = {name: f"controller.{name}" for name in ("gain_inertia", "test_acting_load", "bristle")}
 
 
 def forward(n, estimates, parameters=None, **inputs):
-    """Return outputs and some states of the compensation while y_v is 0; `inputs` are constants or series."""
+    """Return outputs and some states of the compensation while y_v is 0; `inputs` are constants or
+    series.
+    """
     given = {"y_v": 0.0, **inputs}
-    given |= {f"{name}_{what}": value for name, x in estimates.items() for what, value in (("hat", x), ("valid", 1.0))}
-    columns = {name: np.broadcast_to(np.asarray(value, float), n).copy() for name, value in given.items()}
+    given |= {
+        f"{name}_{what}": value
+        for name, x in estimates.items()
+        for what, value in (("hat", x), ("valid", 1.0))
+    }
+    columns = {
+        name: np.broadcast_to(np.asarray(value, float), n).copy() for name, value in given.items()
+    }
     names = {name: name for name in ("u", "u_compensation", "reference")} | STATES
-    record, _ = Native(program_of("controller"), parameters or {}).run(H, columns, list(names.values()))
+    record, _ = Native(program_of("controller"), parameters or {}).run(
+        H, columns, list(names.values())
+    )
     return dict(zip(names, record.T, strict=True))
 
 
@@ -148,10 +186,18 @@ def test_the_scale_multiplies_the_reference_alone():
 
 
 def followed(friction, estimates, seconds=40.0, late=0, order=2.0):
-    """Return the rms tracking error over the second half, on v' = b u - alpha2 v - friction, exactly sampled."""
+    """Return the rms tracking error over the second half, on v' = b u - alpha2 v - friction,
+    exactly sampled.
+    """
     n, v, w = round(seconds / H), 0.0, 0.0
-    controller = Native(program_of("controller"), {"order": order, "rms": math.radians(15.0), "fade": 1e-3})
-    given = {f"{name}_{what}": value for name, x in estimates.items() for what, value in (("hat", x), ("valid", 1.0))}
+    controller = Native(
+        program_of("controller"), {"order": order, "rms": math.radians(15.0), "fade": 1e-3}
+    )
+    given = {
+        f"{name}_{what}": value
+        for name, x in estimates.items()
+        for what, value in (("hat", x), ("valid", 1.0))
+    }
     kept, errors, voltages = math.exp(-TRUE["alpha2"] * H), [], [0.0] * (1 + late)
     columns = {"y_v": np.zeros(1), **{name: np.array([value]) for name, value in given.items()}}
     for _ in range(n):
@@ -169,9 +215,14 @@ def followed(friction, estimates, seconds=40.0, late=0, order=2.0):
 
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_a_known_linear_servo_follows_its_reference(order):
-    """Also one whose acceleration is white noise. The same voltage one sample later leaves twenty times more."""
+    """Also one whose acceleration is white noise. The same voltage one sample later leaves twenty
+    times more.
+    """
     known = {name: TRUE[name] for name in ("alpha2", "b")}
-    alone, right, late = (followed(False, *case, order=order) for case in (({}, 20.0), (known, 20.0), (known, 20.0, 1)))
+    alone, right, late = (
+        followed(False, *case, order=order)
+        for case in (({}, 20.0), (known, 20.0), (known, 20.0, 1))
+    )
     assert right < 2e-3 * alone
     assert late > 10 * right
 
@@ -179,7 +230,8 @@ def test_a_known_linear_servo_follows_its_reference(order):
 def test_known_friction_is_compensated():
     linear = {name: TRUE[name] for name in ("alpha2", "b")}
     alone, without, coulomb, whole = (
-        followed(True, each, 20.0) for each in ({}, linear, linear | {"Fc": 4.0}, linear | {"Fc": 4.0, "c": TRUE["c"]})
+        followed(True, each, 20.0)
+        for each in ({}, linear, linear | {"Fc": 4.0}, linear | {"Fc": 4.0, "c": TRUE["c"]})
     )
     assert without > 0.8 * alone
     assert coulomb < 0.2 * alone
@@ -192,9 +244,14 @@ def test_levels_come_from_sigma_and_c_where_these_are_valid():
     speed = math.radians(20.0)
     scale = speed / forward(1000, {}, slow)["reference"][-1]
     for missing, level in ((None, (600 + 800 * math.exp(-4.0) + 300) / 150), ("sigma1", 4.0)):
-        estimates = {name: value for name, value in TRUE.items() if name not in (missing, "load", "alpha2")}
-        assert forward(1000, estimates, slow, reference_scale=scale)["bristle"][-1] * 6.5 == pytest.approx(level, rel=0.01)
-    assert forward(1000, TRUE, slow)["test_acting_load"][-1] * 6.5 == pytest.approx(-0.7)  # against the load
+        estimates = {
+            name: value for name, value in TRUE.items() if name not in (missing, "load", "alpha2")
+        }
+        assert forward(1000, estimates, slow, reference_scale=scale)["bristle"][
+            -1
+        ] * 6.5 == pytest.approx(level, rel=0.01)
+    # against the load
+    assert forward(1000, TRUE, slow)["test_acting_load"][-1] * 6.5 == pytest.approx(-0.7)
 
 
 def test_an_estimate_fades_in_and_out():
@@ -234,7 +291,9 @@ def test_absurd_estimates_leave_every_output_finite():
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("wrong", [{"b": 2.0}, {"b": 20.0}, {"Fc": 20.0}, {"Fc": -4.0}, {"alpha2": 40.0}, {"load": 5.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"b": 2.0}, {"b": 20.0}, {"Fc": 20.0}, {"Fc": -4.0}, {"alpha2": 40.0}, {"load": 5.0}]
+)
 def test_wrong_estimates_are_not_worse_than_none(wrong):
     """What does not make tracking better is taken back, though the estimates are called valid."""
     known = {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "c": 150.0}

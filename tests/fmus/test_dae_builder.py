@@ -1,4 +1,6 @@
-"""States of Model Exchange set like any variable, in event and continuous-time mode: CasADi's DaeBuilder does so."""
+"""States of Model Exchange set like any variable, in event and continuous-time mode: CasADi's
+DaeBuilder does so.
+"""
 
 import ctypes
 import math
@@ -29,7 +31,9 @@ def equations(law):
         for name, value in zip(variant.system.inputs, u, strict=True):
             core.v[program.index[name]] = value
         core.outputs()
-        return [core.v[p] for p in variant.ders], [core.v[program.index[name]] for name in variant.system.outputs]
+        return [core.v[p] for p in variant.ders], [
+            core.v[program.index[name]] for name in variant.system.outputs
+        ]
 
     return evaluate
 
@@ -37,7 +41,9 @@ def equations(law):
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("law", LAWS)
 def test_dae_builder_evaluates_our_equations(built, law, fmi):
-    """Rates and outputs to the last digit, and their derivatives, at points in and out of sliding."""
+    """Rates and outputs to the last digit, and their derivatives, at points in and out of
+    sliding.
+    """
     dae = ca.DaeBuilder(law, str(built("plant", law=law, fmi=fmi, encoder=False).path))
     f, ours = dae.create("f", ["x", "u"], ["ode", "y"]), equations(law)
     jacobian = dae.create("j", ["x", "u"], ["jac_ode_x", "jac_ode_u"])
@@ -48,8 +54,12 @@ def test_dae_builder_evaluates_our_equations(built, law, fmi):
         for k, column in enumerate(np.array(ca.horzcat(*jacobian(x, u))).T):
             up, down = ([*x, *u] for _ in range(2))
             up[k], down[k] = up[k] + step, down[k] - step
-            slope = (np.array(ours(up[:3], up[3:])[0]) - np.array(ours(down[:3], down[3:])[0])) / (2 * step)
-            np.testing.assert_allclose(column, slope, rtol=1e-5, atol=1e-6 * max(1.0, np.abs(slope).max()))
+            slope = (np.array(ours(up[:3], up[3:])[0]) - np.array(ours(down[:3], down[3:])[0])) / (
+                2 * step
+            )
+            np.testing.assert_allclose(
+                column, slope, rtol=1e-5, atol=1e-6 * max(1.0, np.abs(slope).max())
+            )
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -60,7 +70,9 @@ def test_dae_builder_simulates_like_our_integrator(built, fmi):
     options = {"abstol": 1e-12, "reltol": 1e-10}
     x, voltage = ca.MX.sym("x", 3), ca.MX.sym("u", 3)
     rates = dae.create("f", ["x", "u"], ["ode"])(x, voltage)
-    solve = ca.integrator("solve", "cvodes", {"x": x, "u": voltage, "ode": rates}, 0.0, grid, options)
+    solve = ca.integrator(
+        "solve", "cvodes", {"x": x, "u": voltage, "ode": rates}, 0.0, grid, options
+    )
     u = np.array([[6.0], [0.0], [1.0]])
     theirs = np.array(solve(x0=[0.0, 0.0, 0.0], u=np.tile(u, len(grid)))["xf"])[:2].T
     native = Native(program_of("plant", "lugre", encoder=False), {"solver.tolerance": 1e-10})
@@ -69,20 +81,27 @@ def test_dae_builder_simulates_like_our_integrator(built, fmi):
     np.testing.assert_allclose(theirs, ours[10::10], rtol=1e-6)
 
 
-# -- the calls behind it ---------------------------------------------------------------------------------------------------
+# -- the calls behind it ---------------------------------------------------------------------------
 
 
 def events_done(raw, handle):
     block = (ctypes.c_double * 8)()
     pointers = [block] if raw.fmi == 2 else [ctypes.byref(block, 8 * k) for k in range(6)]
-    return raw.call("NewDiscreteStates" if raw.fmi == 2 else "UpdateDiscreteStates", handle, *pointers)
+    return raw.call(
+        "NewDiscreteStates" if raw.fmi == 2 else "UpdateDiscreteStates", handle, *pointers
+    )
 
 
 def seen(raw, handle):
     """Return states, rates and friction torque."""
     x, dx = (ctypes.c_double * 3)(), (ctypes.c_double * 3)()
     assert raw.call("GetContinuousStates", handle, x, 3) == 0
-    assert raw.call("GetDerivatives" if raw.fmi == 2 else "GetContinuousStateDerivatives", handle, dx, 3) == 0
+    assert (
+        raw.call(
+            "GetDerivatives" if raw.fmi == 2 else "GetContinuousStateDerivatives", handle, dx, 3
+        )
+        == 0
+    )
     return [*x, *dx, *raw.get(handle, "F")]
 
 
@@ -116,7 +135,9 @@ def test_states_are_set_one_by_one_in_event_and_continuous_time_mode(built, Raw,
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_states_are_not_set_elsewhere(built, Raw, fmi):
-    """Neither before the simulation begins, where parameters give the start values, nor in Co-Simulation."""
+    """Neither before the simulation begins, where parameters give the start values, nor in
+    Co-Simulation.
+    """
     raw = Raw(built("plant", law="lugre", fmi=fmi, encoder=False).info)
     exchange = raw.instantiate("me")
     assert raw.set(exchange, "lugre.v", 1.0) == 3

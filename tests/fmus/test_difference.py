@@ -1,4 +1,6 @@
-"""Differences between two FMUs: every kind is seen in a changed copy, and none where there is none."""
+"""Differences between two FMUs: every kind is seen in a changed copy, and none where there is
+none.
+"""
 
 import re
 from zipfile import ZipFile
@@ -11,19 +13,69 @@ from bristle.fmus.difference import Change, fmu_differences
 from bristle.fmus.host import Fmu
 
 XML = "modelDescription.xml"
-CHANGES = [  # a pattern in the description of the plant, what takes its place, the kind of the difference, its place and words
-    (r'canSerializeFMUstate="true"', 'canSerializeFMUstate="false"', Change.breaking, "Co-Simulation", "is now false"),
-    (r'(canBeInstantiatedOnlyOncePerProcess=)"false"', r'\1"true"', Change.breaking, "Co-Simulation", "only"),
+# a pattern in the description of the plant, what takes its place, the kind of the difference, its
+# place and words
+CHANGES = [
+    (
+        r'canSerializeFMUstate="true"',
+        'canSerializeFMUstate="false"',
+        Change.breaking,
+        "Co-Simulation",
+        "is now false",
+    ),
+    (
+        r'(canBeInstantiatedOnlyOncePerProcess=)"false"',
+        r'\1"true"',
+        Change.breaking,
+        "Co-Simulation",
+        "only",
+    ),
     (r'name="theta_enc"', 'name="angle"', Change.breaking, "output theta_enc", "is gone"),
     (r'name="theta_enc"', 'name="angle"', Change.addition, "output angle", "is new"),
-    (r'(name="tau_load".*?unit=")N.m"', r'\1V"', Change.breaking, "input tau_load", "unit N.m became V"),
-    (r'(name="encoder.counts".*?start=")[^"]*"', r'\g<1>8192.0"', Change.default, "parameter encoder.counts", "became 8192"),
-    (r'(name="encoder.counts".*?max=")[^"]*"', r'\g<1>50000.0"', Change.breaking, "parameter encoder.counts", "to 5"),
-    (r'(name="encoder.counts".*?max=")[^"]*"', r'\g<1>1e12"', Change.addition, "parameter encoder.counts", "range"),
-    (r'(<DefaultExperiment[^>]*stopTime=")[^"]*"', r'\g<1>30.0"', Change.default, "default experiment", "20.0 became 30.0"),
-    (r'(<Item name="dahl" value=")[^"]*"', r'\g<1>77"', Change.breaking, "parameter law", "item dahl"),
+    (
+        r'(name="tau_load".*?unit=")N.m"',
+        r'\1V"',
+        Change.breaking,
+        "input tau_load",
+        "unit N.m became V",
+    ),
+    (
+        r'(name="encoder.counts".*?start=")[^"]*"',
+        r'\g<1>8192.0"',
+        Change.default,
+        "parameter encoder.counts",
+        "became 8192",
+    ),
+    (
+        r'(name="encoder.counts".*?max=")[^"]*"',
+        r'\g<1>50000.0"',
+        Change.breaking,
+        "parameter encoder.counts",
+        "to 5",
+    ),
+    (
+        r'(name="encoder.counts".*?max=")[^"]*"',
+        r'\g<1>1e12"',
+        Change.addition,
+        "parameter encoder.counts",
+        "range",
+    ),
+    (
+        r'(<DefaultExperiment[^>]*stopTime=")[^"]*"',
+        r'\g<1>30.0"',
+        Change.default,
+        "default experiment",
+        "20.0 became 30.0",
+    ),
+    (
+        r'(<Item name="dahl" value=")[^"]*"',
+        r'\g<1>77"',
+        Change.breaking,
+        "parameter law",
+        "item dahl",
+    ),
     (r'guid="[^"]*"', 'guid="other"', Change.note, "FMU", "token"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +104,9 @@ def of_interface(first, second):
     return [d for part in parts for d in part(first, second)]
 
 
-@pytest.mark.parametrize("case", CHANGES, ids=[f"{case[3]}-{case[2]}-{k}" for k, case in enumerate(CHANGES)])
+@pytest.mark.parametrize(
+    "case", CHANGES, ids=[f"{case[3]}-{case[2]}-{k}" for k, case in enumerate(CHANGES)]
+)
 def test_a_change_of_the_interface_is_seen(plant, tmp_path, case):
     pattern, by, kind, place, words = case
     found = of_interface(plant, changed(plant, tmp_path, pattern, by))
@@ -66,10 +120,13 @@ def test_a_parameter_that_may_no_longer_be_tuned_breaks_its_host(plant, tmp_path
     assert [d.change for d in of_interface(plant, tunable)] == [Change.addition]
 
 
-def test_an_fmu_does_not_differ_from_itself_and_other_start_values_show_in_the_outputs(plant, tmp_path):
+def test_an_fmu_does_not_differ_from_itself_and_other_start_values_show_in_the_outputs(
+    plant, tmp_path
+):
     assert fmu_differences(plant, plant) == []
     other = changed(plant, tmp_path, r'(name="J".*?start=")[^"]*"', r'\g<1>0.0004"', only_xml=False)
-    [default, *others] = fmu_differences(plant, other)  # the binary starts as it did: only the file claims another value
+    # the binary starts as it did: only the file claims another value
+    [default, *others] = fmu_differences(plant, other)
     assert (default.change, default.place, others) == (Change.default, "parameter J", [])
 
 

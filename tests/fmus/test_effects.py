@@ -29,9 +29,17 @@ H = 1e-3
 def test_an_augmented_plant_is_a_valid_fmu_with_the_same_digits(law, effects, fmi, kind):
     path = str(obtain("plant", law=law, effects=effects, fmi=fmi, kind=kind))
     assert validate_fmu(path) == []
-    expected, _ = Native(program_of("plant", law, effects)).run(H, {"u": np.full(100, 5.0)}, ["theta", "v"])
+    expected, _ = Native(program_of("plant", law, effects)).run(
+        H, {"u": np.full(100, 5.0)}, ["theta", "v"]
+    )
     found = simulate_fmu(
-        path, fmi_type="CoSimulation", stop_time=0.1, output_interval=H, step_size=H, start_values={"u": 5.0}, output=["theta", "v"]
+        path,
+        fmi_type="CoSimulation",
+        stop_time=0.1,
+        output_interval=H,
+        step_size=H,
+        start_values={"u": 5.0},
+        output=["theta", "v"],
     )
     assert np.max(np.abs(expected[:, 1])) > 0.1
     for k, name in enumerate(("theta", "v")):
@@ -53,11 +61,16 @@ def test_parameters_of_effects_are_described_in_the_fmu():
                 assert fmu.interval(p.name) == (p.minimum, p.maximum)
                 assert fmu.start(p.name) == p.default
                 assert variable.description == f"{p.description} ({p.symbol})"
-        assert fmu.description.description.endswith("with cogging with back_emf; no true value of load, alpha2")
+        assert fmu.description.description.endswith(
+            "with cogging with back_emf; no true value of load, alpha2"
+        )
 
 
 def test_a_plant_of_one_smooth_law_has_an_encoder_where_that_is_asked_for():
-    lean, full = (Fmu(obtain("plant", law="lugre", effects=("bias",), encoder=encoder)) for encoder in (False, True))
+    lean, full = (
+        Fmu(obtain("plant", law="lugre", effects=("bias",), encoder=encoder))
+        for encoder in (False, True)
+    )
     assert not lean.has("theta_enc", "output")
     assert lean.description.modelExchange is not None
     assert full.has("theta_enc", "output")

@@ -26,7 +26,9 @@ def force(what, k):
 def choices(fmu):
     """Return the values of the selector, or one None."""
     selector = [v for v in fmu.description.modelVariables if v.type == "Enumeration"]
-    return [(selector[0].name, k) for k in range(1, int(selector[0].max) + 1)] if selector else [None]
+    return (
+        [(selector[0].name, k) for k in range(1, int(selector[0].max) + 1)] if selector else [None]
+    )
 
 
 def prepared(raw, choice, **start):
@@ -49,7 +51,9 @@ def run(raw, handle, what, outputs, first, last):
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_reset_gives_a_fresh_instance_from_every_state(built, Raw, case):
-    """Ten lifecycles, each abandoned somewhere else; what comes after a reset is bitwise what a new instance gives."""
+    """Ten lifecycles, each abandoned somewhere else; what comes after a reset is bitwise what a new
+    instance gives.
+    """
     what, fmi = case
     fmu = built(what, fmi=fmi)
     raw, outputs = Raw(fmu.info), fmu.names("output")
@@ -96,7 +100,9 @@ def test_interleaved_instances_do_not_interact(built, Raw, case):
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_states_continue_bitwise(built, Raw, case):
-    """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in another process."""
+    """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in
+    another process.
+    """
     what, fmi = case
     fmu = built(what, fmi=fmi)
     raw, outputs, states, rows = Raw(fmu.info), fmu.names("output"), [], []
@@ -140,13 +146,20 @@ for data in json.load(sys.stdin):
         rows.append(raw.get(handle, *{outputs!r}))
 sys.stdout.buffer.write(np.array(rows).tobytes())
 """
-    done = subprocess.run([sys.executable, "-c", code], input=json.dumps(states).encode(), capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        input=json.dumps(states).encode(),
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout
 
 
 def test_a_state_keeps_mode_and_parameters(built, Raw):
-    """A state taken in initialization leads back there, parameters included; an old handle is filled again."""
+    """A state taken in initialization leads back there, parameters included; an old handle is
+    filled again.
+    """
     raw = Raw(built("plant").info)
     handle = raw.instantiate()
     assert raw.enter(handle) == 0
@@ -164,12 +177,16 @@ def test_a_state_keeps_mode_and_parameters(built, Raw):
     assert raw.get(handle, "J") == [0.004]
 
 
-# -- steps ---------------------------------------------------------------------------------------------------------------
+# -- steps -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", ["lugre", "elastoplastic", "gms", "leuven", "modified", "viscous", "coulomb"])
+@pytest.mark.parametrize(
+    "law", ["lugre", "elastoplastic", "gms", "leuven", "modified", "viscous", "coulomb"]
+)
 def test_splitting_a_step_changes_little(built, Raw, law):
-    """One step of 8 ms, two of 4 ms, eight of 1 ms: the same motion within the integrator's tolerance."""
+    """One step of 8 ms, two of 4 ms, eight of 1 ms: the same motion within the integrator's
+    tolerance.
+    """
     raw = Raw(built("plant", law=law).info)
 
     def final(parts):
@@ -186,12 +203,16 @@ def test_splitting_a_step_changes_little(built, Raw, law):
     once = final(1)
     assert np.abs(once).max() > 0.1
     for parts in (2, 8):
-        np.testing.assert_allclose(final(parts), once, rtol=2e-4 if law == "coulomb" else 1e-6, atol=1e-7)
+        np.testing.assert_allclose(
+            final(parts), once, rtol=2e-4 if law == "coulomb" else 1e-6, atol=1e-7
+        )
 
 
 @pytest.mark.parametrize("what", list(DRIVE))
 def test_noise_in_the_last_bits_of_time_does_not_matter(built, Raw, what):
-    """Host clocks add up to 2.950000000003: samples neither double nor drop out, and the values stay."""
+    """Host clocks add up to 2.950000000003: samples neither double nor drop out, and the values
+    stay.
+    """
     fmu = built(what)
     raw, outputs = Raw(fmu.info), fmu.names("output")
     rng = np.random.default_rng(2)
@@ -209,7 +230,9 @@ def test_noise_in_the_last_bits_of_time_does_not_matter(built, Raw, what):
 
 
 def test_time_is_the_hosts(built, Raw):
-    """After a step the FMU is where the host's point and step size say, not where it thought it was."""
+    """After a step the FMU is where the host's point and step size say, not where it thought it
+    was.
+    """
     raw = Raw(built("plant", law="lugre", fmi=3).info)
     handle = raw.running()
     for k in range(100):
@@ -230,14 +253,16 @@ def test_an_odd_step_size_keeps_the_sampling(built, Raw):
     assert raw.get(whole, "u", "reference") == raw.get(cut, "u", "reference")
 
 
-# -- many instances ------------------------------------------------------------------------------------------------------
+# -- many instances --------------------------------------------------------------------------------
 
 
 def resident():
     return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]) * 4096
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc to read the memory in use")
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="needs /proc to read the memory in use"
+)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_memory_does_not_grow_with_lifecycles(built, Raw, fmi):
     raw = Raw(built("plant", fmi=fmi).info)
@@ -271,13 +296,21 @@ def test_many_instances_at_once(built, Raw):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="threads.c is written for POSIX")
 def test_threads(built, tmp_path):
-    """A host in C makes, steps and frees 80 000 instances in four threads; without the lock it fails or crashes."""
+    """A host in C makes, steps and frees 80 000 instances in four threads; without the lock it
+    fails or crashes.
+    """
     info = built("controller").info
     program, headers = tmp_path / "threads", str(files("fmpy") / "c-code")
     flags = ["-std=gnu99", "-O2", "-pthread", f"-I{headers}"]
-    subprocess.run([*find_compiler(), *flags, str(HERE / "threads.c"), "-o", str(program), "-ldl"], check=True)
+    subprocess.run(
+        [*find_compiler(), *flags, str(HERE / "threads.c"), "-o", str(program), "-ldl"], check=True
+    )
     for _ in range(3):
-        done = subprocess.run([program, info["library"], info["token"], str(info["vr"]["reference"])], check=False, timeout=60)
+        done = subprocess.run(
+            [program, info["library"], info["token"], str(info["vr"]["reference"])],
+            check=False,
+            timeout=60,
+        )
         assert done.returncode == 0
 
 
@@ -285,6 +318,9 @@ def test_handles_are_not_addresses(built, Raw):
     """What the host holds leads nowhere: no mapped memory begins there."""
     raw = Raw(built("plant").info)
     handle = raw.running()
-    spans = [line.split()[0].split("-") for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()]
+    spans = [
+        line.split()[0].split("-")
+        for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
+    ]
     assert not any(int(a, 16) <= handle < int(b, 16) for a, b in spans)
     assert ctypes.sizeof(ctypes.c_void_p) == 8

@@ -1,4 +1,6 @@
-"""The archive: reproducible, complete, compiles elsewhere; written as a whole or not at all; fetched quickly."""
+"""The archive: reproducible, complete, compiles elsewhere; written as a whole or not at all;
+fetched quickly.
+"""
 
 import importlib
 import os
@@ -24,20 +26,38 @@ NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
 @pytest.mark.parametrize(
     "options",
     [
-        pytest.param({}, marks=pytest.mark.slow), pytest.param({"fmi": 3}, marks=pytest.mark.slow),
-        {"law": "lugre"}, {"law": "coulomb", "fmi": 3}, {"kind": "python"},
+        pytest.param({}, marks=pytest.mark.slow),
+        pytest.param({"fmi": 3}, marks=pytest.mark.slow),
+        {"law": "lugre"},
+        {"law": "coulomb", "fmi": 3},
+        {"kind": "python"},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_building_twice_gives_the_same_bytes(tmp_path, options):
-    """In two folders and two processes, whose hashes are seeded differently, with nothing in the cache."""
+    """In two folders and two processes, whose hashes are seeded differently, with nothing in the
+    cache.
+    """
     results = []
     for seed in ("1", "2"):
         out = tmp_path / f"folder {seed} ä" / "Servo.fmu"
         out.parent.mkdir()
-        code = f"from pathlib import Path; from bristle.fmus import build; build('plant', Path({str(out)!r}), **{options!r})"
-        environment = os.environ | {"PYTHONHASHSEED": seed, "TMPDIR": str(out.parent), "BRISTLE_CACHE": str(tmp_path / seed)}
-        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+        code = (
+            "from pathlib import Path; from bristle.fmus import build; build('plant',"
+            f" Path({str(out)!r}), **{options!r})"
+        )
+        environment = os.environ | {
+            "PYTHONHASHSEED": seed,
+            "TMPDIR": str(out.parent),
+            "BRISTLE_CACHE": str(tmp_path / seed),
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert done.returncode == 0, done.stderr
         assert [p.name for p in out.parent.iterdir()] == [out.name]  # nothing is left lying about
         results.append(out.read_bytes())
@@ -57,7 +77,11 @@ def test_archive(built, what, fmi):
             assert "\\" not in entry.filename
     name = fmu.description.coSimulation.modelIdentifier
     assert f"binaries/{host().folder(fmi)}/{name}.so" in names or sys.platform != "linux"
-    assert {"modelDescription.xml", "documentation/index.html", "documentation/licenses/license.txt"} <= set(names)
+    assert {
+        "modelDescription.xml",
+        "documentation/index.html",
+        "documentation/licenses/license.txt",
+    } <= set(names)
     assert {f"sources/{header}" for header in FMI_HEADERS[fmi]} <= set(names)
 
 
@@ -72,11 +96,18 @@ def test_no_trace_of_the_building_machine(built, what, fmi):
 
 
 @pytest.mark.parametrize(
-    ("what", "fmi"), [*NATIVE[:-1], pytest.param(*NATIVE[-1], marks=pytest.mark.slow), ("lean", 2), ("lean", 3)]
+    ("what", "fmi"),
+    [*NATIVE[:-1], pytest.param(*NATIVE[-1], marks=pytest.mark.slow), ("lean", 2), ("lean", 3)],
 )
 def test_sources_compile_from_a_clean_extract(built, what, fmi, tmp_path):
-    """With nothing but the compiler and the folder sources/, and every function of the standard comes out of it."""
-    fmu = built("plant", law="modified", fmi=fmi, encoder=False) if what == "lean" else built(what, fmi=fmi)
+    """With nothing but the compiler and the folder sources/, and every function of the standard
+    comes out of it.
+    """
+    fmu = (
+        built("plant", law="modified", fmi=fmi, encoder=False)
+        if what == "lean"
+        else built(what, fmi=fmi)
+    )
     sources = tmp_path / "sources"
     with zipfile.ZipFile(fmu.path) as archive:
         for name in archive.namelist():
@@ -85,22 +116,27 @@ def test_sources_compile_from_a_clean_extract(built, what, fmi, tmp_path):
     [configuration] = fmu.description.buildConfigurations
     units = configuration.sourceFileSets[0].sourceFiles
     assert sorted(units) == sorted(p.name for p in sources.glob("*.c"))
-    # Without optimisation, which takes most of the time: the warnings that it adds are errors when the FMU is built.
+    # Without optimisation, which takes most of the time: the warnings that it adds are errors when
+    # the FMU is built.
     flags = ["-std=c99", "-O0", "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    flags.append("-Wno-strict-prototypes")  # the standard's own fmi3FunctionTypes.h declares two callbacks with ()
+    # the standard's own fmi3FunctionTypes.h declares two callbacks with ()
+    flags.append("-Wno-strict-prototypes")
     command = [*find_compiler(), *flags, *units, "-o", "out.so", "-lm"]
     done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     header = (files("fmpy") / "c-code" / f"fmi{fmi}Functions.h").read_text(encoding="utf-8")
     binary = (sources / "out.so").read_bytes()
-    wanted = {word for word in header.replace(";", " ").split() if word.startswith(f"fmi{fmi}") and f"{word}TYPE {word};" in
-              " ".join(header.split())}  # fmt: skip
+    wanted = {
+        word
+        for word in header.replace(";", " ").split()
+        if word.startswith(f"fmi{fmi}") and f"{word}TYPE {word};" in " ".join(header.split())
+    }
     assert len(wanted) == {2: 44, 3: 75}[fmi]
     for name in wanted:
         assert name.encode() + b"\0" in binary, name
 
 
-# -- building and obtaining ----------------------------------------------------------------------------------------------
+# -- building and obtaining ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -118,7 +154,10 @@ def test_sources_compile_from_a_clean_extract(built, what, fmi, tmp_path):
 )
 def test_what_cannot_be_built_is_said_in_one_line(tmp_path, arguments, words):
     what, options = arguments[0], dict(arguments[1]) if len(arguments) > 1 else {}
-    for make in (lambda: build(what, tmp_path / "x.fmu", **options), lambda: obtain(what, **options)):
+    for make in (
+        lambda: build(what, tmp_path / "x.fmu", **options),
+        lambda: obtain(what, **options),
+    ):
         with pytest.raises(BristleError) as error:
             make()
         text = str(error.value)
@@ -149,7 +188,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_what_is_there_is_not_built_again():
-    """A second `obtain` imports nothing symbolic, starts no compiler, and is quick; time of a whole process included."""
+    """A second `obtain` imports nothing symbolic, starts no compiler, and is quick; time of a whole
+    process included.
+    """
     paths = {what: str(obtain(what)) for what in ("plant", "observer", "controller")}
     code = """
 import subprocess, sys, time
@@ -170,7 +211,8 @@ print(time.perf_counter() - begun, *paths, sep="\\n")
 
 def test_a_changed_source_is_another_fmu(monkeypatch):
     """The key covers what the FMU is made from: another compiler or source, another file."""
-    module = importlib.import_module("bristle.fmus.build")  # the name in the package is the function
+    # the name in the package is the function
+    module = importlib.import_module("bristle.fmus.build")
 
     def keys():
         return {module._key((), "native", what, 2, None) for what in ("plant", "controller")}
@@ -184,8 +226,13 @@ def test_a_changed_source_is_another_fmu(monkeypatch):
     assert module._key((), "python", "plant", 2, None) == python  # made without a compiler
     monkeypatch.undo()
     original = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda self: original(self) + (b" " if self.name == "instance.c" else b""))
-    assert keys() == before  # a file that changes while the process runs: the process still builds from the code it has read
+    monkeypatch.setattr(
+        Path,
+        "read_bytes",
+        lambda self: original(self) + (b" " if self.name == "instance.c" else b""),
+    )
+    # a file that changes while the process runs: the process still builds from the code it has read
+    assert keys() == before
     fresh = module_from_spec(module.__spec__)
     module.__spec__.loader.exec_module(fresh)
     assert fresh._key("native", "plant", 2, None) not in before

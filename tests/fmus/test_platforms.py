@@ -1,4 +1,6 @@
-"""Binaries for other platforms: all in one file, the same bytes every time, the same digits where they can be run."""
+"""Binaries for other platforms: all in one file, the same bytes every time, the same digits where
+they can be run.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ FOLDERS = {
 }
 
 
-# -- names ---------------------------------------------------------------------------------------------------------------
+# -- names -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,8 @@ def test_this_machine_uses_its_own_compiler_unless_it_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("win6", ("win6", "did you mean 'win64'")), ("", ("unknown platform ''", "host, all"))]
+    ("text", "words"),
+    [("win6", ("win6", "did you mean 'win64'")), ("", ("unknown platform ''", "host, all"))],
 )
 def test_an_unknown_platform_is_refused(text: str, words: Sequence[str], tmp_path: Path) -> None:
     with pytest.raises(BristleError) as refused:
@@ -68,7 +71,9 @@ def test_an_fmu_in_python_has_no_platforms(tmp_path: Path) -> None:
         build("controller", tmp_path / "a.fmu", kind="python", platforms="all")
 
 
-def test_a_missing_compiler_is_named_with_what_installs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_compiler_is_named_with_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler.importlib.util, "find_spec", lambda name: None)
     find_compiler.cache_clear()
     try:
@@ -91,7 +96,7 @@ def test_a_fat_library_holds_each_machine_at_an_aligned_place() -> None:
         assert made[offset : offset + size] == parts[kinds[kind]]
 
 
-# -- binaries ------------------------------------------------------------------------------------------------------------
+# -- binaries --------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -108,13 +113,17 @@ def every(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 def content(path: Path) -> dict[str, bytes]:
     with ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist() if name.startswith("binaries/")}
+        return {
+            name: archive.read(name) for name in archive.namelist() if name.startswith("binaries/")
+        }
 
 
 @needs_zig
 @pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_one_file_has_every_platform_and_the_same_bytes_again(fmi: int, every: Callable[..., Path], tmp_path: Path) -> None:
+def test_one_file_has_every_platform_and_the_same_bytes_again(
+    fmi: int, every: Callable[..., Path], tmp_path: Path
+) -> None:
     made = content(every(fmi))
     assert {Path(name).parent.name for name in made} == FOLDERS[fmi]
     again = build("plant", tmp_path / "elsewhere.fmu", fmi=fmi, law="lugre", platforms="all")
@@ -129,8 +138,15 @@ def test_one_file_has_every_platform_and_the_same_bytes_again(fmi: int, every: C
 @pytest.mark.slow
 def test_compiled_anew_it_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not only linked: nothing that was compiled before is used."""
-    source = {"a.c": "#include <math.h>\ndouble f(double x);\ndouble f(double x) { return exp(x) + (double)__LINE__; }\n"}
-    monkeypatch.setattr(compiler, "cached", lambda name, make: (make(tmp_path / name), tmp_path / name)[1])
+    source = {
+        "a.c": (
+            "#include <math.h>\ndouble f(double x);\ndouble f(double x) { return exp(x) +"
+            " (double)__LINE__; }\n"
+        )
+    }
+    monkeypatch.setattr(
+        compiler, "cached", lambda name, make: (make(tmp_path / name), tmp_path / name)[1]
+    )
     for each in ALL:
         found = []
         for name in ("here", "there"):
@@ -149,12 +165,21 @@ def test_libraries_need_the_system_only(every: Callable[..., Path]) -> None:
     for name, binary in content(every(3)).items():
         where = Path(name).parent.name
         if where.endswith("linux"):
-            versions = {tuple(map(int, part.split(b"\0")[0].split(b"."))) for part in binary.split(b"GLIBC_")[1:]}
+            versions = {
+                tuple(map(int, part.split(b"\0")[0].split(b".")))
+                for part in binary.split(b"GLIBC_")[1:]
+            }
             assert versions
             assert max(versions) <= (2, 17)
         elif where.endswith("windows"):
-            needed = {part[-40:].split(b"\0")[-1].decode("latin1") for part in binary.split(b".dll\0")[:-1]}
-            assert all(each in ("KERNEL32", f"{Path(name).stem}") or each.startswith("api-ms-win-crt-") for each in needed), needed
+            needed = {
+                part[-40:].split(b"\0")[-1].decode("latin1")
+                for part in binary.split(b".dll\0")[:-1]
+            }
+            assert all(
+                each in ("KERNEL32", f"{Path(name).stem}") or each.startswith("api-ms-win-crt-")
+                for each in needed
+            ), needed
         else:
             assert b"/usr/lib/libSystem.B.dylib" in binary
             assert f"@rpath/{Path(name).name}".encode() in binary
@@ -174,12 +199,23 @@ def driver(target: Target, folder: Path) -> Path:
         (folder / name).write_text(text, encoding="utf-8")
     program = folder / ("drive.exe" if target.system == "win32" else "drive")
     link = [] if target.system == "win32" else ["-ldl"]
-    command = [*find_compiler(target.triple), "-std=c99", "-O1", f"-I{folder}", str(HERE / "drive.c"), "-o", str(program), *link]
+    command = [
+        *find_compiler(target.triple),
+        "-std=c99",
+        "-O1",
+        f"-I{folder}",
+        str(HERE / "drive.c"),
+        "-o",
+        str(program),
+        *link,
+    ]
     subprocess.run(command, check=True, capture_output=True)
     return program
 
 
-def driven(target: Target, runner: Sequence[str], fmu: Any, library: bytes, folder: Path) -> list[str]:
+def driven(
+    target: Target, runner: Sequence[str], fmu: Any, library: bytes, folder: Path
+) -> list[str]:
     """Return the bits of the outputs that the host prints, line by line, one a step."""
     folder.mkdir()
     model = folder / f"model{target.suffix}"
@@ -189,26 +225,51 @@ def driven(target: Target, runner: Sequence[str], fmu: Any, library: bytes, fold
     found = model.name if target.system == "win32" else str(model)
     done = subprocess.run(
         [*runner, str(driver(target, folder)), found, fmu.info["token"], "600", *numbers],
-        cwd=folder, capture_output=True, text=True, check=False, timeout=300,
-        env={"WINEDEBUG": "-all", "WINEPREFIX": str(folder / "wine"), "PATH": "/usr/bin:/bin", "HOME": str(folder)},
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env={
+            "WINEDEBUG": "-all",
+            "WINEPREFIX": str(folder / "wine"),
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(folder),
+        },
+    )
     assert done.returncode == 0, done.stderr[-500:]
     return done.stdout.splitlines()
 
 
 @needs_zig
 @pytest.mark.slow
-@pytest.mark.skipif(host().name != "x86_64-linux", reason="the runners are those of Linux on x86_64")
+@pytest.mark.skipif(
+    host().name != "x86_64-linux", reason="the runners are those of Linux on x86_64"
+)
 @pytest.mark.parametrize("name", list(RUNNERS))
-def test_the_digits_are_those_of_this_machine(name: str, every: Callable[..., Path], built: Any, tmp_path: Path) -> None:
-    """To the last bit; on Windows within what its C library's exp differs, where the law has one."""
+def test_the_digits_are_those_of_this_machine(
+    name: str, every: Callable[..., Path], built: Any, tmp_path: Path
+) -> None:
+    """To the last bit; on Windows within what its C library's exp differs, where the law has
+    one.
+    """
     runner, place = RUNNERS[name], NAMED[name]
-    if runner and (shutil.which(runner[0]) is None or not all(Path(each).exists() for each in runner[2:])):
-        pytest.skip(f"{runner[0]} is not installed (Debian: wine64, qemu-user with libc6-arm64-cross)")
+    if runner and (
+        shutil.which(runner[0]) is None or not all(Path(each).exists() for each in runner[2:])
+    ):
+        pytest.skip(
+            f"{runner[0]} is not installed (Debian: wine64, qemu-user with libc6-arm64-cross)"
+        )
     for law in ("coulomb", "lugre"):
         own = built("plant", law=law)
-        [library] = [held for path, held in content(every(2, law)).items() if path.startswith(f"binaries/{place.folder(2)}/")]
-        expected = driven(HOST, [], own, Path(own.info["library"]).read_bytes(), tmp_path / f"{law}-here")
+        [library] = [
+            held
+            for path, held in content(every(2, law)).items()
+            if path.startswith(f"binaries/{place.folder(2)}/")
+        ]
+        expected = driven(
+            HOST, [], own, Path(own.info["library"]).read_bytes(), tmp_path / f"{law}-here"
+        )
         found = driven(place.target, runner, own, library, tmp_path / law)
         assert len(found) == 600
         assert len(set(found)) > 500
@@ -220,4 +281,6 @@ def test_the_digits_are_those_of_this_machine(name: str, every: Callable[..., Pa
 
 def numbers(lines: Sequence[str]) -> Any:
     """Return what the host printed as numbers, shape (steps, outputs)."""
-    return np.array([[struct.unpack(">d", bytes.fromhex(bits))[0] for bits in line.split()] for line in lines])
+    return np.array(
+        [[struct.unpack(">d", bytes.fromhex(bits))[0] for bits in line.split()] for line in lines]
+    )

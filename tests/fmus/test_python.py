@@ -14,7 +14,8 @@ from bristle.fmus.python_fmu import python_files
 from bristle.plant.servo import servo_program
 
 H = 1e-3
-RUNS = {"plant": 4.0, "controller": 20.0, "observer": 1.0}  # s; plant and controller are also run together, for longer
+# s; plant and controller are also run together, for longer
+RUNS = {"plant": 4.0, "controller": 20.0, "observer": 1.0}
 
 
 class Slave:
@@ -25,7 +26,10 @@ class Slave:
         self.vr = {v.name: v.valueReference for v in d.modelVariables}
         self.kind = {v.name: v.type for v in d.modelVariables}
         self.fmu = FMU2Slave(
-            guid=d.guid, unzipDirectory=str(fmu.folder), modelIdentifier=d.coSimulation.modelIdentifier, instanceName="one"
+            guid=d.guid,
+            unzipDirectory=str(fmu.folder),
+            modelIdentifier=d.coSimulation.modelIdentifier,
+            instanceName="one",
         )
         self.fmu.instantiate()
         self.begin(**start)
@@ -59,13 +63,19 @@ def signals(what, k):
         voltage = 7.0 * math.sin(0.004 * k) + 2.0 * math.sin(0.05 * k)
         return {"u": voltage, "tau_load": 0.001 * (k > 700), "load_scale": 1.0 + 0.3 * (k > 400)}
     if what == "observer":
-        return {"u": 8.0 * math.sin(0.02 * k), "y_v": 4.0 * math.sin(0.02 * k - 0.3), "y_theta": -0.2 * math.cos(0.02 * k - 0.3)}
+        return {
+            "u": 8.0 * math.sin(0.02 * k),
+            "y_v": 4.0 * math.sin(0.02 * k - 0.3),
+            "y_theta": -0.2 * math.cos(0.02 * k - 0.3),
+        }
     return {"y_v": 2.0 * math.sin(0.003 * k)}
 
 
 @pytest.mark.parametrize("what", list(RUNS))
 def test_native_and_python_agree(built, what):
-    """1e-12 of each signal's range over the whole run, every law and method; NaN in the same places."""
+    """1e-12 of each signal's range over the whole run, every law and method; NaN in the same
+    places.
+    """
     native, python = built(what), built(what, kind="python")
     outputs = native.names("output")
     assert {v.name: v.valueReference for v in native.description.modelVariables} == {
@@ -92,7 +102,10 @@ def test_native_and_python_agree_in_closed_loop(built):
     """Controller and servo with LuGre friction over 20 s: the loop would amplify a difference."""
     ends = []
     for kind in ("native", "python"):
-        controller, plant = Slave(built("controller", kind=kind), seed=3.0, order=2.0), Slave(built("plant", kind=kind), law=2)
+        controller, plant = (
+            Slave(built("controller", kind=kind), seed=3.0, order=2.0),
+            Slave(built("plant", kind=kind), law=2),
+        )
         rows = []
         for k in range(20_000):
             [u], [v] = controller.get("u"), plant.get("v_enc")
@@ -106,7 +119,9 @@ def test_native_and_python_agree_in_closed_loop(built):
         controller.free()
         plant.free()
     assert np.all(np.ptp(ends[0], axis=0) > 0.01)
-    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12 * np.abs(ends[0]).max(axis=0).max())
+    np.testing.assert_allclose(
+        ends[1], ends[0], rtol=0, atol=1e-12 * np.abs(ends[0]).max(axis=0).max()
+    )
 
 
 BAD = {
@@ -195,7 +210,12 @@ def test_states_continue_bitwise(built, what):
     other = Slave(fmu)
     other.fmu.setFMUstate(other.fmu.deSerializeFMUstate(data))
     assert go_on(other) == expected
-    for damaged in (data[:-3], b"", b"x" * len(data), data[:50] + bytes([data[50] ^ 1]) + data[51:]):
+    for damaged in (
+        data[:-3],
+        b"",
+        b"x" * len(data),
+        data[:50] + bytes([data[50] ^ 1]) + data[51:],
+    ):
         with pytest.raises(FMICallException):
             other.fmu.setFMUstate(other.fmu.deSerializeFMUstate(damaged))
     slave.free()
@@ -222,7 +242,9 @@ def test_an_fmu_is_made_of_the_installed_pythonfmu_whatever_runs_beside(tmp_path
     copy = tmp_path / "pythonfmu" / "__init__.py"
     copy.parent.mkdir()
     copy.write_text("")
-    spec = importlib.util.spec_from_file_location("pythonfmu", copy, submodule_search_locations=[str(copy.parent)])
+    spec = importlib.util.spec_from_file_location(
+        "pythonfmu", copy, submodule_search_locations=[str(copy.parent)]
+    )
     monkeypatch.setitem(sys.modules, "pythonfmu", importlib.util.module_from_spec(spec))
     monkeypatch.syspath_prepend(tmp_path)
     program = servo_program("coulomb")

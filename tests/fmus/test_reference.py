@@ -46,7 +46,11 @@ def test_the_reference_is_the_run_of_the_program(what):
     reference, run = read_reference(what), reference_run(what)
     assert list(reference) == list(run)
     assert outside(reference, run) == {}
-    moving = [name for name in reference if name not in ("time", *inputs(program_of(what))) and np.ptp(reference[name]) > 0]
+    moving = [
+        name
+        for name in reference
+        if name not in ("time", *inputs(program_of(what))) and np.ptp(reference[name]) > 0
+    ]
     assert len(moving) >= 2
 
 
@@ -77,15 +81,24 @@ def test_readme_is_ten_lines(what):
 
 
 def test_errors_by_step_size_are_measured_and_stand_in_the_documentation(built):
-    """The table of the documentation; an input that changes is held, which delays it by half a step."""
+    """The table of the documentation; an input that changes is held, which delays it by half a
+    step.
+    """
     lines = (files("bristle.fmus") / "plant" / "steps.csv").read_text(encoding="utf-8").splitlines()
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     held = [step_errors("viscous", True), step_errors("coulomb", True)]
     moving = step_errors("viscous", False)
     assert np.all(np.max(held, axis=0) <= 1.01 * table[:, 2])
     assert np.all(moving <= 1.05 * table[:, 1])
-    np.testing.assert_allclose(moving, table[:, 1], rtol=0.15)  # all laws have nearly the same error
-    np.testing.assert_allclose(np.diff(np.log(moving)) / np.diff(np.log(STEP_SIZES)), 1.0, atol=0.15)
-    page = (built("plant", fmi=3).folder / "documentation" / "index.html").read_text(encoding="utf-8")
+    # all laws have nearly the same error
+    np.testing.assert_allclose(moving, table[:, 1], rtol=0.15)
+    np.testing.assert_allclose(
+        np.diff(np.log(moving)) / np.diff(np.log(STEP_SIZES)), 1.0, atol=0.15
+    )
+    page = (built("plant", fmi=3).folder / "documentation" / "index.html").read_text(
+        encoding="utf-8"
+    )
     assert all(cell in page for line in lines[1:] for cell in line.split(","))
-    assert "Communication steps" in (built("observer").folder / "documentation" / "index.html").read_text(encoding="utf-8")
+    assert "Communication steps" in (
+        built("observer").folder / "documentation" / "index.html"
+    ).read_text(encoding="utf-8")

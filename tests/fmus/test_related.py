@@ -1,4 +1,6 @@
-"""Files inside an FMU for who gets it: manifest, parameter set, experiment, checksums; by the text of FMI-LS-REF."""
+"""Files inside an FMU for who gets it: manifest, parameter set, experiment, checksums; by the text
+of FMI-LS-REF.
+"""
 
 import csv
 import hashlib
@@ -20,10 +22,14 @@ ROLES = re.compile(  # of the schema in modelica/fmi-ls-ref
     "|result|method|rationale|report|request|delivery|configuration|signature|serialized-state(/.*)?|meta-data|other)"
 )
 CASES = [
-    ("plant", {"law": "lugre", "effects": ["cogging"], "parameters": {"J": 0.0012}}), ("plant", {"law": "dahl", "fmi": 3}),
-    ("observer", {"method": "rls"}), ("controller", {"fmi": 3}), ("controller", {"kind": "python"}),
-    pytest.param(("plant", {}), marks=pytest.mark.slow), pytest.param(("observer", {"fmi": 3}), marks=pytest.mark.slow),
-]  # fmt: skip
+    ("plant", {"law": "lugre", "effects": ["cogging"], "parameters": {"J": 0.0012}}),
+    ("plant", {"law": "dahl", "fmi": 3}),
+    ("observer", {"method": "rls"}),
+    ("controller", {"fmi": 3}),
+    ("controller", {"kind": "python"}),
+    pytest.param(("plant", {}), marks=pytest.mark.slow),
+    pytest.param(("observer", {"fmi": 3}), marks=pytest.mark.slow),
+]
 
 
 @pytest.fixture(scope="module", params=CASES, ids=str)
@@ -42,16 +48,26 @@ def test_every_fmu_says_how_it_can_be_tried(made):
     root = ET.fromstring(files[FOLDER + "fmi-ls-manifest.xml"])
     assert root.tag == "fmiReferences"
     assert root.get(SPACE + "fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
-    assert root.get(SPACE + "fmi-ls-description") == "Layered Standard providing information on related files included in an FMU."
+    assert (
+        root.get(SPACE + "fmi-ls-description")
+        == "Layered Standard providing information on related files included in an FMU."
+    )
     assert re.fullmatch(r"\d+\.\d+\.\d+(-[\w.]+)?", root.get(SPACE + "fmi-ls-version"))
     related = {each.get("role"): each for each in root}
     assert set(related) == {"parameter", "experiment/smoke-test", "result", "signature"}
     assert all(ROLES.fullmatch(role) for role in related)
     assert all(posixpath.normpath(FOLDER + each.get("source")) in files for each in root)
-    one = ET.fromstring(files[FOLDER + related["experiment/smoke-test"].get("source")]).find("Experiment")
+    one = ET.fromstring(files[FOLDER + related["experiment/smoke-test"].get("source")]).find(
+        "Experiment"
+    )
     order = [each.tag for each in one]
-    assert order == sorted(order, key=["TransientSimulation", "Parameters", "Stimuli", "References", "Annotations"].index)
-    assert {each.get("source") for each in one if each.get("source")} <= {n.removeprefix(FOLDER) for n in files}
+    assert order == sorted(
+        order,
+        key=["TransientSimulation", "Parameters", "Stimuli", "References", "Annotations"].index,
+    )
+    assert {each.get("source") for each in one if each.get("source")} <= {
+        n.removeprefix(FOLDER) for n in files
+    }
     assert b"fmi-ls-ref.html" in files["documentation/index.html"]
     assert "documentation/fmi-ls-ref.html" in files
 
@@ -64,9 +80,17 @@ def test_checksums_are_those_of_all_other_files(made):
 
 def test_the_parameter_set_holds_the_start_values(made):
     declared = read_model_description(str(made)).modelVariables
-    starts = {v.name: float(v.start) for v in declared if v.causality == "parameter" and v.type in ("Real", "Float64")}
+    starts = {
+        v.name: float(v.start)
+        for v in declared
+        if v.causality == "parameter" and v.type in ("Real", "Float64")
+    }
     root = ET.fromstring(content(made)[FOLDER + "parameters.ssv"])
-    listed = {each.get("name"): float(each[0].get("value")) for each in root.iter() if each.tag.endswith("}Parameter")}
+    listed = {
+        each.get("name"): float(each[0].get("value"))
+        for each in root.iter()
+        if each.tag.endswith("}Parameter")
+    }
     assert listed == starts
 
 
@@ -78,13 +102,24 @@ def table(data):
 def test_fmpy_meets_the_reference_with_the_stimuli_of_the_file(tmp_path):
     path = build("plant", tmp_path / "plant.fmu", law="lugre")
     files = content(path)
-    given, expected = (table(files[f"{FOLDER}smoke-test-{name}.csv"]) for name in ("stimuli", "reference"))
+    given, expected = (
+        table(files[f"{FOLDER}smoke-test-{name}.csv"]) for name in ("stimuli", "reference")
+    )
     rows = np.rec.fromarrays(list(given.values()), names=list(given))
     names = [name for name in expected if name != "time"]
-    got = simulate_fmu(str(path), stop_time=2.0, output_interval=1e-3, input=rows, output=names, fmi_type="CoSimulation")
+    got = simulate_fmu(
+        str(path),
+        stop_time=2.0,
+        output_interval=1e-3,
+        input=rows,
+        output=names,
+        fmi_type="CoSimulation",
+    )
     assert len(names) >= 5
     for name in names:
-        assert np.abs(got[name][::20] - expected[name]).max() <= 1e-6 * np.ptp(expected[name]) + 1e-15
+        assert (
+            np.abs(got[name][::20] - expected[name]).max() <= 1e-6 * np.ptp(expected[name]) + 1e-15
+        )
         assert np.ptp(expected[name]) > 0
 
 

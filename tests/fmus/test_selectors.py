@@ -1,4 +1,6 @@
-"""The integer beside the enumeration that chooses law or method, and the output that tells which one runs."""
+"""The integer beside the enumeration that chooses law or method, and the output that tells which
+one runs.
+"""
 
 import numpy as np
 import pytest
@@ -66,7 +68,14 @@ def test_a_choice_that_cannot_be_is_refused_and_never_the_default(built, Raw, ca
     what, fmi = case
     selector, names = NUMBERED[what]
     raw = Raw(built(what, fmi=fmi).info)
-    for index, enumeration in ((-1, None), (len(names) + 1, None), (2**31 - 1, None), (-(2**31), None), (3, 4), (4, 3)):
+    for index, enumeration in (
+        (-1, None),
+        (len(names) + 1, None),
+        (2**31 - 1, None),
+        (-(2**31), None),
+        (3, 4),
+        (4, 3),
+    ):
         handle = raw.instantiate()
         raw.set(handle, f"{selector}_index", index, "Int32")
         if enumeration:
@@ -76,7 +85,11 @@ def test_a_choice_that_cannot_be_is_refused_and_never_the_default(built, Raw, ca
         assert raw.call("ExitInitializationMode", handle) == 3
         [(_, _, text)] = raw.messages
         assert f"{selector}_index = ".encode() in text
-        assert (f"[0, {len(names)}]" if enumeration is None else f"contradicts {selector} = {enumeration}").encode() in text
+        assert (
+            f"[0, {len(names)}]"
+            if enumeration is None
+            else f"contradicts {selector} = {enumeration}"
+        ).encode() in text
         assert raw.step(handle, 0.0, H) == 3
         assert running(raw, handle, selector)[0] == 3
         raw.messages.clear()
@@ -103,7 +116,9 @@ def test_both_may_say_the_same_and_zero_says_nothing(built, Raw, case):
 
 @pytest.mark.parametrize("case", NATIVE, ids=str)
 def test_what_runs_is_part_of_the_state(built, Raw, case):
-    """A state put into an instance of another law: the output tells the law of the state, and its digits follow."""
+    """A state put into an instance of another law: the output tells the law of the state, and its
+    digits follow.
+    """
     what, fmi = case
     selector, _ = NUMBERED[what]
     fmu = built(what, fmi=fmi)
@@ -130,15 +145,30 @@ def test_the_description_numbers_the_variants(built, what, fmi):
     index, now = variables[f"{selector}_index"], variables[f"{selector}_running"]
     table = ", ".join(f"{number} {name}" for number, name in enumerate(names, start=1))
     assert index.type == now.type == ("Integer" if fmi == 2 else "Int32")
-    assert (index.causality, index.variability, int(index.start), int(index.min), int(index.max)) == (
-        "parameter", "fixed", 0, 0, len(names),
-    )  # fmt: skip
-    assert (now.causality, now.variability, int(now.min), int(now.max)) == ("output", "discrete", 1, len(names))
+    assert (
+        index.causality,
+        index.variability,
+        int(index.start),
+        int(index.min),
+        int(index.max),
+    ) == (
+        "parameter",
+        "fixed",
+        0,
+        0,
+        len(names),
+    )
+    assert (now.causality, now.variability, int(now.min), int(now.max)) == (
+        "output",
+        "discrete",
+        1,
+        len(names),
+    )
     assert table in index.description
     assert table in now.description
 
 
-# -- the pythonfmu FMU -----------------------------------------------------------------------------------------------------
+# -- the pythonfmu FMU -----------------------------------------------------------------------------
 
 
 class Slave:
@@ -150,7 +180,10 @@ class Slave:
         self.outputs = [self.vr[name] for name in fmu.names("output")]
         self.inputs = [self.vr[name] for name in driven(fmu)]
         self.fmu = FMU2Slave(
-            guid=d.guid, unzipDirectory=str(fmu.folder), modelIdentifier=d.coSimulation.modelIdentifier, instanceName="one"
+            guid=d.guid,
+            unzipDirectory=str(fmu.folder),
+            modelIdentifier=d.coSimulation.modelIdentifier,
+            instanceName="one",
         )
         self.fmu.instantiate()
         self.fmu.setupExperiment(startTime=0.0)
@@ -185,6 +218,10 @@ def test_the_python_twin_chooses_alike(built, what):
         assert other.running(selector) == number
         for slave in (one, two, other):
             slave.fmu.freeInstance()
-    for refused in ({f"{selector}_index": -1}, {f"{selector}_index": len(names) + 1}, {f"{selector}_index": 3, selector: 4}):
+    for refused in (
+        {f"{selector}_index": -1},
+        {f"{selector}_index": len(names) + 1},
+        {f"{selector}_index": 3, selector: 4},
+    ):
         with pytest.raises(FMICallException):
             Slave(fmu, **refused)

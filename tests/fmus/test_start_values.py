@@ -1,4 +1,6 @@
-"""Start values other than the defaults: the FMU as it stands is the program with these parameters."""
+"""Start values other than the defaults: the FMU as it stands is the program with these
+parameters.
+"""
 
 import numpy as np
 import pytest
@@ -11,20 +13,38 @@ from bristle.fmus.build import program_of
 from bristle.model.native import Native
 
 H = 1e-3
-GIVEN = {"J": 0.002, "coulomb.Fc": 0.006, "theta_start": 0.3, "cogging.amplitude": 0.02, "sample_time": 2e-3}
+GIVEN = {
+    "J": 0.002,
+    "coulomb.Fc": 0.006,
+    "theta_start": 0.3,
+    "cogging.amplitude": 0.02,
+    "sample_time": 2e-3,
+}
 
 
 @pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
 def test_the_fmu_starts_with_what_was_given(fmi, kind):
-    path = str(obtain("plant", law="coulomb", effects=("cogging",), fmi=fmi, kind=kind, parameters=GIVEN))
+    path = str(
+        obtain("plant", law="coulomb", effects=("cogging",), fmi=fmi, kind=kind, parameters=GIVEN)
+    )
     assert validate_fmu(path) == []
-    starts = {v.name: v.start for v in read_model_description(path).modelVariables if v.causality == "parameter"}
+    starts = {
+        v.name: v.start
+        for v in read_model_description(path).modelVariables
+        if v.causality == "parameter"
+    }
     assert {name: float(starts[name]) for name in GIVEN} == GIVEN
     program = program_of("plant", "coulomb", ["cogging"])
     expected, _ = Native(program, GIVEN).run(H, {"u": np.full(100, 9.0)}, ["theta", "v"])
     default, _ = Native(program).run(H, {"u": np.full(100, 9.0)}, ["theta", "v"])
     found = simulate_fmu(
-        path, fmi_type="CoSimulation", stop_time=0.1, output_interval=H, step_size=H, start_values={"u": 9.0}, output=["theta", "v"]
+        path,
+        fmi_type="CoSimulation",
+        stop_time=0.1,
+        output_interval=H,
+        step_size=H,
+        start_values={"u": 9.0},
+        output=["theta", "v"],
     )
     assert np.max(np.abs(expected - default)) > 0.1
     for k, name in enumerate(("theta", "v")):

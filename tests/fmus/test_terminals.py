@@ -1,4 +1,6 @@
-"""Terminals, icons and display units: valid by the standard's schema, and of variables that exist."""
+"""Terminals, icons and display units: valid by the standard's schema, and of variables that
+exist.
+"""
 
 import math
 import struct
@@ -17,7 +19,9 @@ SHOWN = {"deg": math.degrees(1.0), "rpm": 30.0 / math.pi, "ms": 1000.0}
 def members(fmu):
     document = etree.parse(str(fmu.folder / "terminalsAndIcons" / "terminalsAndIcons.xml"))
     etree.XMLSchema(file=str(SCHEMA)).assertValid(document)
-    return {e.get("memberName"): e.get("variableName") for e in document.iter("TerminalMemberVariable")}
+    return {
+        e.get("memberName"): e.get("variableName") for e in document.iter("TerminalMemberVariable")
+    }
 
 
 def test_the_bus_joins_plant_observer_and_controller_by_names(built):
@@ -56,5 +60,9 @@ def test_display_units_are_defined_with_their_factors(built, what, fmi):
     used = {(e.get("unit"), e.get("displayUnit")) for e in document.iter() if e.get("displayUnit")}
     assert used
     assert used <= defined.keys()
-    time = [e for e in document.iter() if e.get("name") == "time" and e.get("causality") == "independent"]
+    time = [
+        e
+        for e in document.iter()
+        if e.get("name") == "time" and e.get("causality") == "independent"
+    ]
     assert all(e.get("displayUnit") is None for e in time)

@@ -11,33 +11,48 @@ from bristle.plant.friction import laws
 H = 1e-3
 STEPS = 60
 CASES = [
-    *(("plant", "law", law) for law in laws()), *(("observer", "method", method) for method in methods()),
-    ("controller", "", ""), ("effects", "", ""),
-]  # fmt: skip
+    *(("plant", "law", law) for law in laws()),
+    *(("observer", "method", method) for method in methods()),
+    ("controller", "", ""),
+    ("effects", "", ""),
+]
 SELECTED = {"law": list(laws()), "method": list(methods())}
-BUILT = {"plant": ("plant", {}), "observer": ("observer", {"fmi": 3}), "controller": ("controller", {"fmi": 3}),
-         "effects": ("plant", {"law": "lugre", "effects": ("cogging", "bias")})}  # fmt: skip
+BUILT = {
+    "plant": ("plant", {}),
+    "observer": ("observer", {"fmi": 3}),
+    "controller": ("controller", {"fmi": 3}),
+    "effects": ("plant", {"law": "lugre", "effects": ("cogging", "bias")}),
+}
 
 
 def moved(fmu, variant):
-    """Return each tunable parameter of a variant, or of none, with another value that is allowed."""
+    """Return each tunable parameter of a variant, or of none, with another value that is
+    allowed.
+    """
     found, others = {}, {name for names in SELECTED.values() for name in names} - {variant}
     for v in fmu.description.modelVariables:
         if v.variability == "tunable" and v.name.partition(".")[0] not in others:
             start, low, high = float(v.start), float(v.min), float(v.max)
             found[v.name] = (
-                start * 1.25 if low <= start * 1.25 <= high and start else start + 0.1 * (min(high, start + 1.0) - start)
+                start * 1.25
+                if low <= start * 1.25 <= high and start
+                else start + 0.1 * (min(high, start + 1.0) - start)
             )
     return found
 
 
 def rows(raw, fmu, handle):
     """Return all real outputs over some steps, as bytes."""
-    inputs, outputs = [n for n in fmu.names("input") if n not in ("load_scale", "reference_scale")], fmu.names("output")
+    inputs, outputs = (
+        [n for n in fmu.names("input") if n not in ("load_scale", "reference_scale")],
+        fmu.names("output"),
+    )
     found = []
     for k in range(STEPS):
         for name in inputs:
-            assert raw.set(handle, name, float(3.0 * np.sin(0.3 * k + len(name)))) == 0, raw.messages
+            assert raw.set(handle, name, float(3.0 * np.sin(0.3 * k + len(name)))) == 0, (
+                raw.messages
+            )
         assert raw.step(handle, H * k, H) == 0, raw.messages
         found.append(raw.get(handle, *outputs))
     return np.array(found).tobytes()
@@ -52,7 +67,10 @@ def test_a_value_set_between_steps_acts_like_one_set_before_the_start(built, Raw
     early, late, plain = raw.instantiate(), raw.instantiate(), raw.instantiate()
     for handle in (early, late, plain):
         if selector:
-            assert raw.set(handle, f"{selector}_index", SELECTED[selector].index(variant) + 1, "Int32") == 0, raw.messages
+            assert (
+                raw.set(handle, f"{selector}_index", SELECTED[selector].index(variant) + 1, "Int32")
+                == 0
+            ), raw.messages
     for name, value in values.items():
         assert raw.set(early, name, value) == 0, raw.messages
     for handle in (early, late, plain):
@@ -71,8 +89,16 @@ def test_a_value_set_between_steps_acts_like_one_set_before_the_start(built, Raw
 def test_what_is_tunable_has_a_use_and_what_is_not_is_refused(built, Raw, what):
     fmu = built(what, fmi=3)
     tunable = {v.name for v in fmu.description.modelVariables if v.variability == "tunable"}
-    fixed = {v.name for v in fmu.description.modelVariables if v.variability == "fixed" and v.causality == "parameter"}
-    wanted = {"plant": {"u_max", "lugre.sigma1"}, "observer": {"self_starting_ekf.memory"}, "controller": {"kp", "ki"}}[what]
+    fixed = {
+        v.name
+        for v in fmu.description.modelVariables
+        if v.variability == "fixed" and v.causality == "parameter"
+    }
+    wanted = {
+        "plant": {"u_max", "lugre.sigma1"},
+        "observer": {"self_starting_ekf.memory"},
+        "controller": {"kp", "ki"},
+    }[what]
     assert wanted <= tunable
     assert "sample_time" in fixed
     raw = Raw(fmu.info)
@@ -90,8 +116,11 @@ def test_a_python_fmu_tunes_what_the_native_one_does(built):
     assert {v.name: v.variability for v in fmu.description.modelVariables} == native
     vr = {v.name: v.valueReference for v in fmu.description.modelVariables}
     slave = FMU2Slave(
-        guid=fmu.description.guid, unzipDirectory=str(fmu.folder), instanceName="x", modelIdentifier="Controller"
-    )  # fmt: skip
+        guid=fmu.description.guid,
+        unzipDirectory=str(fmu.folder),
+        instanceName="x",
+        modelIdentifier="Controller",
+    )
     slave.instantiate()
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
@@ -107,5 +136,7 @@ def test_a_size_that_a_true_parameter_follows_from_is_not_tunable():
     from bristle.fmus.build import program_of
 
     shown = Interface(program_of("plant", "coulomb"))
-    fixed = {x.name for x in shown.variables if x.causality == "parameter" and x.variability == "fixed"}
+    fixed = {
+        x.name for x in shown.variables if x.causality == "parameter" and x.variability == "fixed"
+    }
     assert {"J", "a2"} <= fixed  # alpha2 = a2 / J

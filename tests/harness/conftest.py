@@ -108,7 +108,13 @@ XML = """<?xml version="1.0" encoding="UTF-8"?>
 <InitialUnknowns><Unknown index="2"/><Unknown index="3"/></InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
-FAULTS = {"none": "", "error": "return 3;", "abort": "abort();", "segfault": "*(volatile int *)0 = 1;", "exit": "exit(7);"}
+FAULTS = {
+    "none": "",
+    "error": "return 3;",
+    "abort": "abort();",
+    "segfault": "*(volatile int *)0 = 1;",
+    "exit": "exit(7);",
+}
 
 
 @pytest.fixture(scope="session")
@@ -118,17 +124,33 @@ def tiny_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     from fmpy.fmi2 import FMU2Slave
 
     names = {name for name in dir(FMU2Slave) if name.startswith("fmi2") and "Callback" not in name}
-    stubs = "".join(f"E int {n}(void) {{ return 0; }}\n" for n in sorted(names) if not re.search(rf"\b{n}\(", TINY))
+    stubs = "".join(
+        f"E int {n}(void) {{ return 0; }}\n"
+        for n in sorted(names)
+        if not re.search(rf"\b{n}\(", TINY)
+    )
 
-    def make(fault: str = "none", *, identifier: str = "tiny", unit: str = "", v: str = "v", binary: bool = True) -> Path:
+    def make(
+        fault: str = "none",
+        *,
+        identifier: str = "tiny",
+        unit: str = "",
+        v: str = "v",
+        binary: bool = True,
+    ) -> Path:
         folder = tmp_path_factory.mktemp(f"tiny_{fault}")
         library = folder / "tiny.so"
         compile_shared({"tiny.c": TINY.replace("FAULT", FAULTS[fault]) + stubs}, library)
         path = folder / f"{fault}.fmu"
         with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("modelDescription.xml", XML.format(identifier=identifier, unit=unit, v=v))
+            archive.writestr(
+                "modelDescription.xml", XML.format(identifier=identifier, unit=unit, v=v)
+            )
             if binary:
-                archive.write(library, f"binaries/{platform}/{identifier.split('/')[-1]}{sharedLibraryExtension}")
+                archive.write(
+                    library,
+                    f"binaries/{platform}/{identifier.split('/')[-1]}{sharedLibraryExtension}",
+                )
         return path
 
     return make
@@ -167,18 +189,33 @@ def no_leftovers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pa
 
 @pytest.fixture
 def rows_of() -> Callable[..., Any]:
-    """Return a function that runs another importer in a process of its own: its module, code that fills `rows`, names it uses."""
+    """Return a function that runs another importer in a process of its own: its module, code that
+    fills `rows`, names it uses.
+    """
 
     def run(importer: str, code: str, **names: object) -> Any:
         if find_spec(importer) is None:
             pytest.skip(f"{importer} is not installed (bristle[interop])")
-        loaded = subprocess.run([sys.executable, "-c", f"import {importer}"], capture_output=True, text=True, check=False)
+        loaded = subprocess.run(
+            [sys.executable, "-c", f"import {importer}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         if loaded.returncode:  # a library that it needs is not on this machine
             pytest.skip(f"{importer} cannot be loaded: {loaded.stderr.strip().splitlines()[-1]}")
         head = "".join(f"{name} = {value!r}\n" for name, value in names.items()) + "rows = []\n"
         tail = "\nimport json\nprint('ROWS', json.dumps(rows))\n"
-        done = subprocess.run([sys.executable, "-c", head + code + tail], capture_output=True, text=True, check=False, timeout=300)
-        [answer] = [line for line in done.stdout.splitlines() if line.startswith("ROWS")] or pytest.fail(done.stderr[-2000:])
+        done = subprocess.run(
+            [sys.executable, "-c", head + code + tail],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
+        [answer] = [
+            line for line in done.stdout.splitlines() if line.startswith("ROWS")
+        ] or pytest.fail(done.stderr[-2000:])
         return np.array(json.loads(answer.removeprefix("ROWS ")))
 
     return run

@@ -46,7 +46,8 @@ from bristle.harness.tube import SAFETY
 Message = Callable[[Callable[[], Any]], str]
 Maker = Callable[..., Path]
 
-# A slow reference through an encoder: the shaft stands still, breaks away, and what the controller sees comes in counts.
+# A slow reference through an encoder: the shaft stands still, breaks away, and what the controller
+# sees comes in counts.
 STICK_SLIP = """
 duration = "6 s"
 sensor = "encoder"
@@ -117,7 +118,12 @@ def failed(found: Comparison) -> set[str]:
 def test_what_is_stored_is_what_was_made(accepted: tuple[Path, Baseline]) -> None:
     folder, made = accepted
     read = read_baseline(folder)
-    assert {path.name for path in folder.iterdir()} == {"baseline.json", "result.json", "scenario.toml", "signals.npz"}
+    assert {path.name for path in folder.iterdir()} == {
+        "baseline.json",
+        "result.json",
+        "scenario.toml",
+        "signals.npz",
+    }
     assert (folder / "scenario.toml").read_text(encoding="utf-8") == STICK_SLIP
     assert read.quantities == dict(made.quantities)
     for name, values in made.signals.values.items():
@@ -128,17 +134,27 @@ def test_what_is_stored_is_what_was_made(accepted: tuple[Path, Baseline]) -> Non
     assert not any(each["why"] for each in read.runs)
 
 
-def test_a_rerun_passes_at_full_rate_and_thinned(accepted: tuple[Path, Baseline], full: Path, place: Path) -> None:
+def test_a_rerun_passes_at_full_rate_and_thinned(
+    accepted: tuple[Path, Baseline], full: Path, place: Path
+) -> None:
     fewer = run(place / "stick.toml", place / "thinned").folder
-    for folder, rows in ((full, len(accepted[1].signals.rows)), (fewer, 2000), (accepted[0], len(accepted[1].signals.rows))):
+    for folder, rows in (
+        (full, len(accepted[1].signals.rows)),
+        (fewer, 2000),
+        (accepted[0], len(accepted[1].signals.rows)),
+    ):
         found = compare_folders(accepted[0], folder)
         assert found.passed, differences(found)
         assert found.rows == rows
         assert found.notes == ()
 
 
-def test_rounding_that_the_baseline_has_not_seen_stays_inside(accepted: tuple[Path, Baseline], place: Path) -> None:
-    """The tube holds events that sticking moves: the run is not the same to the last digit, and not wider than allowed."""
+def test_rounding_that_the_baseline_has_not_seen_stays_inside(
+    accepted: tuple[Path, Baseline], place: Path
+) -> None:
+    """The tube holds events that sticking moves: the run is not the same to the last digit, and not
+    wider than allowed.
+    """
     checked = check(place / "stick.toml", place)
     again = run_rounded(checked.setup, 77)
     signals = accepted[1].signals
@@ -152,7 +168,9 @@ def test_rounding_that_the_baseline_has_not_seen_stays_inside(accepted: tuple[Pa
     assert accepted[1].quantities["behaviour.stick_share"].value
 
 
-def test_a_signal_that_is_off_fails_and_its_worst_point_is_named(accepted: tuple[Path, Baseline], altered: Any) -> None:
+def test_a_signal_that_is_off_fails_and_its_worst_point_is_named(
+    accepted: tuple[Path, Baseline], altered: Any
+) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns["theta"][3210] += 1e-3
 
@@ -190,7 +208,9 @@ def test_what_is_infinite_fails_in_b_and_is_not_judged_in_a(full: Path, altered:
     assert compare_folders(folder, full).passed
 
 
-def test_a_missing_signal_fails_and_a_new_one_is_said(accepted: tuple[Path, Baseline], altered: Any) -> None:
+def test_a_missing_signal_fails_and_a_new_one_is_said(
+    accepted: tuple[Path, Baseline], altered: Any
+) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns["F_new"] = columns.pop("F")
 
@@ -200,7 +220,9 @@ def test_a_missing_signal_fails_and_a_new_one_is_said(accepted: tuple[Path, Base
     assert found.notes == ("signals that only B has, not judged: F_new",)
 
 
-def test_an_event_that_is_late_by_more_than_was_measured_fails(accepted: tuple[Path, Baseline], altered: Any) -> None:
+def test_an_event_that_is_late_by_more_than_was_measured_fails(
+    accepted: tuple[Path, Baseline], altered: Any
+) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns["theta_enc"][:] = np.roll(columns["theta_enc"], 100)
 
@@ -216,12 +238,16 @@ def test_a_percent_in_a_parameter_is_seen(accepted: tuple[Path, Baseline], place
     assert "values set by --set" in " ".join(found.notes)
 
 
-def test_another_duration_and_another_rate_are_said_in_one_line(accepted: tuple[Path, Baseline], place: Path) -> None:
+def test_another_duration_and_another_rate_are_said_in_one_line(
+    accepted: tuple[Path, Baseline], place: Path
+) -> None:
     for key, line in (
         ("duration=5 s", "A lasts 6 s, B 5 s"),
         ("step=2 ms", "the communication step is 0.001 s in A and 0.002 s in B"),
     ):
-        folder = run(place / "stick.toml", place / key.partition("=")[0], Options(overrides=[key])).folder
+        folder = run(
+            place / "stick.toml", place / key.partition("=")[0], Options(overrides=[key])
+        ).folder
         found = compare_folders(accepted[0], folder)
         assert not found.passed
         assert found.refused == (line,)
@@ -231,25 +257,41 @@ def test_another_duration_and_another_rate_are_said_in_one_line(accepted: tuple[
 @pytest.mark.parametrize(
     ("kept", "said"),
     [
-        (slice(0, 1), "1999 of 2000 instants are missing, the first at 0.003 s"),  # a row of thinned tables, too
+        # a row of thinned tables, too
+        (slice(0, 1), "1999 of 2000 instants are missing, the first at 0.003 s"),
         (slice(0, 2700), "3301 of 6001 instants are missing, the first at 2.7 s"),
         (slice(1, None), "1 of 6001 instants are missing, the first at 0 s"),
-        (np.delete(np.arange(6001), slice(1000, 1700)), "700 of 6001 instants are missing, the first at 1 s"),
-        (np.delete(thinned(6001), slice(500, 1200)), "700 of 2000 instants are missing, the first at 1.501 s"),
+        (
+            np.delete(np.arange(6001), slice(1000, 1700)),
+            "700 of 6001 instants are missing, the first at 1 s",
+        ),
+        (
+            np.delete(thinned(6001), slice(500, 1200)),
+            "700 of 2000 instants are missing, the first at 1.501 s",
+        ),
     ],
 )
 def test_a_run_of_which_rows_are_missing_is_refused_on_both_sides(
-    accepted: tuple[Path, Baseline], full: Path, altered: Any, message: Message, kept: Any, said: str
+    accepted: tuple[Path, Baseline],
+    full: Path,
+    altered: Any,
+    message: Message,
+    kept: Any,
+    said: str,
 ) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns.update({name: values[kept] for name, values in columns.items()})
 
     folder = altered(edit)
     for sides in ((accepted[0], folder), (folder, full)):
-        assert f"signals.csv: {said}; run the scenario again" in message(lambda sides=sides: compare_folders(*sides))
+        assert f"signals.csv: {said}; run the scenario again" in message(
+            lambda sides=sides: compare_folders(*sides)
+        )
 
 
-def test_sides_without_the_instants_of_the_reference_are_refused(accepted: tuple[Path, Baseline]) -> None:
+def test_sides_without_the_instants_of_the_reference_are_refused(
+    accepted: tuple[Path, Baseline],
+) -> None:
     made = accepted[1]
     few = replace(made, signals=replace(made.signals, rows=made.signals.rows[:1]))
     assert compare_sides(made, few).refused == (
@@ -260,12 +302,16 @@ def test_sides_without_the_instants_of_the_reference_are_refused(accepted: tuple
 def test_how_many_instants_were_compared_is_said(full: Path, place: Path, tmp_path: Path) -> None:
     found = compare_folders(full, run(place / "stick.toml", place / "counted").folder)
     assert (found.rows, found.instants) == (2000, 6001)
-    assert "at 2000 of the 6001 instants of A" in write_comparison(found, tmp_path).read_text(encoding="utf-8")
+    assert "at 2000 of the 6001 instants of A" in write_comparison(found, tmp_path).read_text(
+        encoding="utf-8"
+    )
     tree = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
     assert (tree["rows"], tree["instants"]) == (2000, 6001)
 
 
-def test_where_results_come_from_is_said_in_words(accepted: tuple[Path, Baseline], full: Path, tmp_path: Path) -> None:
+def test_where_results_come_from_is_said_in_words(
+    accepted: tuple[Path, Baseline], full: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "other"
     shutil.copytree(full, folder)
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
@@ -286,7 +332,9 @@ def test_where_results_come_from_is_said_in_words(accepted: tuple[Path, Baseline
         assert words in notes
 
 
-def test_a_run_as_reference_leaves_only_the_written_digits_open(full: Path, place: Path, altered: Any) -> None:
+def test_a_run_as_reference_leaves_only_the_written_digits_open(
+    full: Path, place: Path, altered: Any
+) -> None:
     same = compare_folders(full, run(place / "stick.toml", place / "again").folder)
     assert same.passed
     assert "is no baseline" in same.notes[0]
@@ -297,12 +345,16 @@ def test_a_run_as_reference_leaves_only_the_written_digits_open(full: Path, plac
     assert failed(compare_folders(full, altered(edit))) == {"v"}
 
 
-def test_the_report_shows_each_signal_and_the_numbers(accepted: tuple[Path, Baseline], altered: Any, tmp_path: Path) -> None:
+def test_the_report_shows_each_signal_and_the_numbers(
+    accepted: tuple[Path, Baseline], altered: Any, tmp_path: Path
+) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns["u"][2000:2010] = np.nan
         columns["v"][3000] = 50.0
 
-    page = write_comparison(compare_folders(accepted[0], altered(edit)), tmp_path / "report").read_text(encoding="utf-8")
+    page = write_comparison(
+        compare_folders(accepted[0], altered(edit)), tmp_path / "report"
+    ).read_text(encoding="utf-8")
     assert "u at 2 s: it is nan" in page
     assert "v at 3 s: 50" in page
     assert "behaviour.<wbr>stick_<wbr>share" in page
@@ -313,13 +365,17 @@ def test_the_report_shows_each_signal_and_the_numbers(accepted: tuple[Path, Base
 
 def a_comparison(courses: dict[str, SignalCourse], units: dict[str, str]) -> Comparison:
     signals = tuple(judge_signal(name, course) for name, course in courses.items())
-    return Comparison("A", "B", "case", 9000, 9000, (), signals, (), (), courses, ({}, {}), units=units)
+    return Comparison(
+        "A", "B", "case", 9000, 9000, (), signals, (), (), courses, ({}, {}), units=units
+    )
 
 
 def noise(scale: float, shift: float = 0.0) -> SignalCourse:
     """A signal that fills its tube at all times, which takes as many bytes as any."""
     values = shift + scale * np.random.default_rng(1).uniform(-1, 1, 9000)
-    return SignalCourse(np.arange(9000) * 1e-3, np.full(9000, shift), values - 2 * scale, values + 2 * scale, values)
+    return SignalCourse(
+        np.arange(9000) * 1e-3, np.full(9000, shift), values - 2 * scale, values + 2 * scale, values
+    )
 
 
 def test_the_report_is_no_larger_than_a_megabyte() -> None:
@@ -331,7 +387,13 @@ def test_the_report_is_no_larger_than_a_megabyte() -> None:
 
 
 def test_drawings_have_units_and_no_power_of_ten_over_their_titles() -> None:
-    page = unquote(render(a_comparison({"large": noise(1e9), "far": noise(1e-9, 3.0)}, {"large": "N.m", "far": "rad/s2"})))
+    page = unquote(
+        render(
+            a_comparison(
+                {"large": noise(1e9), "far": noise(1e-9, 3.0)}, {"large": "N.m", "far": "rad/s2"}
+            )
+        )
+    )
     assert not re.search(r"<!-- \S*\de\S* -->", page)  # what is written into a picture
     assert "<!-- 10⁹ N·m -->" in page
     assert "<!-- 10⁻⁹ rad/s² -->" in page
@@ -381,7 +443,11 @@ def test_a_result_has_the_units_of_its_signals(full: Path) -> None:
 
 def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
     def result(value: float | None) -> dict[str, Any]:
-        return {"step_s": 1e-3, "estimates": {}, "behaviour": {"x": {"unit": "s", "value": value, "why": "no x"}}}
+        return {
+            "step_s": 1e-3,
+            "estimates": {},
+            "behaviour": {"x": {"unit": "s", "value": value, "why": "no x"}},
+        }
 
     def judged(first: float | None, *others: float | None) -> Judged:
         return measured_quantities(result(first), [result(each) for each in others])["behaviour.x"]
@@ -402,9 +468,20 @@ def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
 
 def test_a_number_that_does_not_exist_has_its_own_reason() -> None:
     def whys(behaviour: Any = 1.0, **changed: Any) -> dict[str, str]:
-        estimate = {"unit": "1/s", "valid": True, "true": 2.0, "final": 2.1, "error_percent": 5.0, "settling_s": 0.5} | changed
-        found = quantities_of({"estimates": {"p": estimate}, "behaviour": {"x": {"unit": "s", "value": behaviour}}})
-        return {path.rpartition(".")[2]: each.why for path, each in found.items() if each.value is None}
+        estimate = {
+            "unit": "1/s",
+            "valid": True,
+            "true": 2.0,
+            "final": 2.1,
+            "error_percent": 5.0,
+            "settling_s": 0.5,
+        } | changed
+        found = quantities_of(
+            {"estimates": {"p": estimate}, "behaviour": {"x": {"unit": "s", "value": behaviour}}}
+        )
+        return {
+            path.rpartition(".")[2]: each.why for path, each in found.items() if each.value is None
+        }
 
     assert whys() == {}
     assert whys(math.nan, final="2.1", error_percent=math.nan, settling_s=True) == {
@@ -419,12 +496,20 @@ def test_a_number_that_does_not_exist_has_its_own_reason() -> None:
         "settling_s": "it is not settled at the end",
     }
     invalid = "the observer calls the estimate not valid at the end"
-    assert whys(valid=False, final=None, settling_s=None) == {"final": invalid, "settling_s": "it is not settled at the end"}
+    assert whys(valid=False, final=None, settling_s=None) == {
+        "final": invalid,
+        "settling_s": "it is not settled at the end",
+    }
     for true, why in ((None, "there is no true value"), (0.0, "the true value is 0")):
-        assert whys(true=true, error_percent=None, settling_s=None) == {"error_percent": why, "settling_s": why}
+        assert whys(true=true, error_percent=None, settling_s=None) == {
+            "error_percent": why,
+            "settling_s": why,
+        }
 
 
-def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(place: Path) -> None:
+def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(
+    place: Path,
+) -> None:
     checked = check(place / "stick.toml", place)
     reference = run_again(checked.setup)
     plain, *fused = [each for each in toolchains() if "," not in each.name]
@@ -432,7 +517,10 @@ def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digi
     other = built(checked.setup, plain)
     assert other.fmus["plant"].path != checked.setup.fmus["plant"].path
     again = run_again(other)
-    assert all(np.array_equal(again.signals[name], values, equal_nan=True) for name, values in reference.signals.items())
+    assert all(
+        np.array_equal(again.signals[name], values, equal_nan=True)
+        for name, values in reference.signals.items()
+    )
     for toolchain in [each for each in fused if each.name.startswith("fused")]:
         rounded = run_again(built(checked.setup, toolchain))
         assert not np.array_equal(rounded.signals["theta"], reference.signals["theta"])
@@ -442,7 +530,11 @@ def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digi
 def test_a_record_is_judged_by_what_the_observer_says(scenario_file: Maker, tmp_path: Path) -> None:
     t = np.arange(0, 2, 1e-3)
     v = np.sin(2 * np.pi * t)
-    columns = {"t": t, "u": 0.3 * v + 0.15 * np.sign(v), "theta": -np.cos(2 * np.pi * t) / (2 * np.pi)}
+    columns = {
+        "t": t,
+        "u": 0.3 * v + 0.15 * np.sign(v),
+        "theta": -np.cos(2 * np.pi * t) / (2 * np.pi),
+    }
     (tmp_path / "log.csv").write_text(table_text(columns), encoding="utf-8")
     text = """
 [record]
@@ -471,7 +563,9 @@ method = "rls"
     assert compared.passed, differences(compared)
 
 
-def test_an_fmu_from_elsewhere_is_run_as_it_is(scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path) -> None:
+def test_an_fmu_from_elsewhere_is_run_as_it_is(
+    scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path
+) -> None:
     parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
     text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu()}"')
     checked = check(scenario_file(text), tmp_path)
@@ -480,7 +574,10 @@ def test_an_fmu_from_elsewhere_is_run_as_it_is(scenario_file: Maker, tiny_fmu: M
     found = make_baseline(checked, ways=uncompiled(checked))
     assert len(found.runs) == 8  # it has no steps of an integrator to change
     assert all(each["differs"] for each in found.runs)
-    assert found.quantities["behaviour.drive_work"].why == "the plant has no J and no b and no output F"
+    assert (
+        found.quantities["behaviour.drive_work"].why
+        == "the plant has no J and no b and no output F"
+    )
 
 
 def test_a_run_that_ends_early_is_no_reference(
@@ -489,9 +586,13 @@ def test_a_run_that_ends_early_is_no_reference(
     parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
     text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu("error")}"')
     checked = check(scenario_file(text), tmp_path)
-    assert "a reference needs a run that reaches its end" in message(lambda: make_baseline(checked, ways=[]))
+    assert "a reference needs a run that reaches its end" in message(
+        lambda: make_baseline(checked, ways=[])
+    )
     early = run(tmp_path / "case.toml", tmp_path / "early").folder
-    whole = run(tmp_path / "case.toml", tmp_path / "whole", Options(overrides=["duration=0.3 s"])).folder
+    whole = run(
+        tmp_path / "case.toml", tmp_path / "whole", Options(overrides=["duration=0.3 s"])
+    ).folder
     assert compare_folders(early, early).passed  # up to where both ended
     assert "A lasts 0.3 s, B 0.5 s; B ended early: " in compare_folders(whole, early).refused[0]
     assert "A lasts 0.5 s, B 0.3 s; A ended early: " in compare_folders(early, whole).refused[0]
@@ -506,7 +607,10 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     (damaged / "signals.npz").write_bytes((accepted[0] / "signals.npz").read_bytes()[:500])
     assert "is no complete baseline" in message(lambda: compare_folders(damaged, full))
     with np.load(accepted[0] / "signals.npz") as content:
-        short = {name: values[..., :900] if values.ndim == 2 or name == "rows" else values for name, values in content.items()}
+        short = {
+            name: values[..., :900] if values.ndim == 2 or name == "rows" else values
+            for name, values in content.items()
+        }
     np.savez_compressed(damaged / "signals.npz", **short)
     assert "is no complete baseline" in message(lambda: compare_folders(damaged, full))
     other = tmp_path / "other"
@@ -525,9 +629,13 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     assert "holds no object" in message(lambda: compare_folders(other, full))
     (other / "result.json").write_text("{}", encoding="utf-8")
     assert "is no result of bristle run" in message(lambda: compare_folders(other, full))
-    assert "is no baseline of bristle" in message(lambda: write_baseline(full.parent, full.name, accepted[1], ""))
+    assert "is no baseline of bristle" in message(
+        lambda: write_baseline(full.parent, full.name, accepted[1], "")
+    )
 
 
 def test_json_with_too_many_brackets_is_no_baseline(tmp_path: Path, message: Message) -> None:
     (tmp_path / "result.json").write_text('{"a":' + 100_000 * "[", encoding="utf-8")
-    assert message(lambda: read_json(tmp_path / "result.json")).startswith(f"{tmp_path / 'result.json'}: no JSON (")
+    assert message(lambda: read_json(tmp_path / "result.json")).startswith(
+        f"{tmp_path / 'result.json'}: no JSON ("
+    )

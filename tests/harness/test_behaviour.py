@@ -1,4 +1,6 @@
-"""What a servo did: sticking, break-away, limit cycle and energy, on motions of which the answer is known."""
+"""What a servo did: sticking, break-away, limit cycle and energy, on motions of which the answer is
+known.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,10 @@ def test_the_energy_of_a_viscous_servo_is_balanced_and_a_wrong_inertia_is_seen()
     end = slice(0, 1500)  # while it still moves: the kinetic energy counts
     short = replace(whole, signals={name: each[end] for name, each in whole.signals.items()})
     assert abs(behaviour(short)["energy_residual_percent"].value or 1.0) < 1e-3
-    assert abs(behaviour(replace(short, inertia=2 * inertia))["energy_residual_percent"].value or 0.0) > 1.0
+    assert (
+        abs(behaviour(replace(short, inertia=2 * inertia))["energy_residual_percent"].value or 0.0)
+        > 1.0
+    )
     assert behaviour(replace(whole, inertia=None))["drive_work"].why == "the plant has no J"
 
 

@@ -46,7 +46,9 @@ def test_a_delay_is_found_in_fractions_of_a_sample(shift):
 
 
 def test_one_after_the_other_takes_away_the_step_by_which_the_voltage_is_late(scenario, tmp_path):
-    """What acts on the plant from t_k is of the velocity at t_k, and of that at t_k-1 with all at once."""
+    """What acts on the plant from t_k is of the velocity at t_k, and of that at t_k-1 with all at
+    once.
+    """
     bus = check(scenario, tmp_path / "out").bus
     bus = replace(bus, record=(*bus.record, APPLIED, ("controller", "y_v")))
     jacobi, seidel = coupled(bus), coupled(bus, 1, MONOLITHIC)
@@ -71,10 +73,17 @@ def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path)
     for name in ("plant.v", "plant.u"):
         assert found.orders[name] == pytest.approx(1.0, abs=0.02)
         assert monolithic.errors[name].relative < 1e-9 < quarter.errors[name].relative
-    for each, late in ((whole, 1.0), (half, 0.5), (quarter, 0.25), (monolithic, 0.0), (plant_first, 1.0)):
+    for each, late in (
+        (whole, 1.0),
+        (half, 0.5),
+        (quarter, 0.25),
+        (monolithic, 0.0),
+        (plant_first, 1.0),
+    ):
         assert each.errors["plant.u"].delay == pytest.approx(late * found.step, rel=0.03, abs=1e-9)
     assert controller_first.errors["plant.v"] == monolithic.errors["plant.v"]
-    for name in ("alpha2", "b"):  # the observer sees the plant a step ahead of its voltage in one order only
+    # the observer sees the plant a step ahead of its voltage in one order only
+    for name in ("alpha2", "b"):
         value = pytest.approx(found.refined[name], rel=1e-9)
         assert monolithic.estimates[name] == value
         assert plant_first.estimates[name] == value
@@ -87,10 +96,14 @@ def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path)
 
 def test_a_check_that_fails_in_a_coupling_is_its_verdict(scenario, tmp_path):
     options = Options(overrides=("checks.0.max=0",))
-    assert {each.verdict for each in coupling(scenario, tmp_path / "out", options).schemes} == {"fail"}
+    assert {each.verdict for each in coupling(scenario, tmp_path / "out", options).schemes} == {
+        "fail"
+    }
 
 
-def test_no_order_is_said_where_a_run_with_one_of_the_steps_ends_early(scenario, tmp_path, monkeypatch):
+def test_no_order_is_said_where_a_run_with_one_of_the_steps_ends_early(
+    scenario, tmp_path, monkeypatch
+):
     """The schemes that are left are not taken for others."""
 
     def halved_fails(bus, parts=1, order=()):
@@ -108,8 +121,9 @@ def test_a_record_has_no_coupling(tmp_path):
     rows = "\n".join(f"{0.001 * k},{np.sin(0.02 * k)},{np.cos(0.01 * k)}" for k in range(500))
     (tmp_path / "r.csv").write_text(f"t,u,y\n{rows}\n", encoding="utf-8")
     (tmp_path / "rig.toml").write_text(
-        '[record]\nfile = "r.csv"\ntime = { column = "t", unit = "s" }\ninput = { column = "u", unit = "V", kind = "voltage" }\n'
-        'output = { column = "y", unit = "rad", kind = "position" }\n[observer]\nmethod = "rls"\n',
+        '[record]\nfile = "r.csv"\ntime = { column = "t", unit = "s" }\ninput = { column = "u",'
+        ' unit = "V", kind = "voltage" }\noutput = { column = "y", unit = "rad", kind = "position"'
+        ' }\n[observer]\nmethod = "rls"\n',
         encoding="utf-8",
     )
     with pytest.raises(BristleError, match="couples nothing"):

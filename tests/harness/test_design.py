@@ -25,20 +25,27 @@ def test_lists_and_grids_are_crossed_and_seeds_change_fastest() -> None:
     assert found.runs == len(points) == 12
     assert [point.index for point in points] == list(range(12))
     assert [(point.overrides, point.seed) for point in points[:3]] == [
-        (("a=x", "b=0 ms"), 4), (("a=x", "b=0 ms"), 7), (("a=x", "b=0.5 ms"), 4),
-    ]  # fmt: skip
+        (("a=x", "b=0 ms"), 4),
+        (("a=x", "b=0 ms"), 7),
+        (("a=x", "b=0.5 ms"), 4),
+    ]
     assert len({(point.overrides, point.seed) for point in points}) == 12
 
 
 def test_drawn_values_stay_in_the_order_of_the_keys() -> None:
     found = design(["a=uniform(0, 1)", "b=[1, 2]"], samples=2)
-    assert [[each.partition("=")[0] for each in point.overrides] for point in found.points()] == [["a", "b"]] * 4
-    assert len({point.overrides[0] for point in found.points()}) == 2  # the same drawn values with each of the list
+    assert [[each.partition("=")[0] for each in point.overrides] for point in found.points()] == [
+        ["a", "b"]
+    ] * 4
+    # the same drawn values with each of the list
+    assert len({point.overrides[0] for point in found.points()}) == 2
 
 
 @pytest.mark.parametrize("sampling", ["lhs", "sobol", "random"])
 def test_values_follow_their_distribution(sampling: str) -> None:
-    """Against closed forms: mean and variance of the uniform and the normal, quantiles of the log-normal distribution."""
+    """Against closed forms: mean and variance of the uniform and the normal, quantiles of the
+    log-normal distribution.
+    """
     vary = ["u=uniform(2, 5)", "n=norm(3, 2)", "l=lognorm(0.5, 7)", "k=norm(loc=1, scale=0.1) ms"]
     found = design(vary, samples=4096, sampling=sampling, sampling_seed=3)  # type: ignore[arg-type]
     u, n, log, k = (drawn(found, each[0]) for each in vary)
@@ -59,7 +66,9 @@ def test_a_latin_hypercube_has_one_value_in_each_stratum() -> None:
 
 
 def test_a_seed_gives_the_same_values_again_and_another_does_not() -> None:
-    one, again, other = (design(["u=uniform(0, 1)"], samples=9, sampling_seed=seed) for seed in (1, 1, 2))
+    one, again, other = (
+        design(["u=uniform(0, 1)"], samples=9, sampling_seed=seed) for seed in (1, 1, 2)
+    )
     assert list(one.points()) == list(again.points()) != list(other.points())
 
 
@@ -97,11 +106,20 @@ def test_a_column_has_numbers_in_si_units_or_text() -> None:
         (["x=[a, 'b, c']"], {}, "put quotes around each text"),
         (["x=uniform(1, 2)"], {"samples": 0}, "draw at least 1"),
         (["x=uniform(1, 2)"], {"samples": 1, "sampling_seed": -1}, "must be 0 or more"),
-        (["x"], {}, "not PATH=SPEC; a SPEC is a:b:n (n values from a to b), or a list [v1, v2], or a distribution"),
+        (
+            ["x"],
+            {},
+            (
+                "not PATH=SPEC; a SPEC is a:b:n (n values from a to b), or a list [v1, v2], or a"
+                " distribution"
+            ),
+        ),
         (["x=0:1:10000", "y=0:1:10000"], {}, "100000000 runs; at most 10000000"),
     ],
 )
-def test_what_is_no_design_is_said_in_a_line(vary: list[str], options: dict[str, object], said: str, message: Message) -> None:
+def test_what_is_no_design_is_said_in_a_line(
+    vary: list[str], options: dict[str, object], said: str, message: Message
+) -> None:
     line = message(lambda: design(vary, **options))  # type: ignore[arg-type]
     assert said in line
     assert "\n" not in line

@@ -1,4 +1,6 @@
-"""Effects of the plant in scenarios: built, set, refused, and scored only where a true value exists."""
+"""Effects of the plant in scenarios: built, set, refused, and scored only where a true value
+exists.
+"""
 
 from __future__ import annotations
 
@@ -28,26 +30,40 @@ def with_effects(base: str, *effects: str, parameters: str = "") -> str:
     return text.replace('J = "0.001 kg.m2"\n', f'J = "0.001 kg.m2"\n{parameters}\n', 1)
 
 
-def signals(path: Path, fmi: int = 2, kind: Kind = "native", overrides: tuple[str, ...] = ()) -> np.ndarray:
+def signals(
+    path: Path, fmi: int = 2, kind: Kind = "native", overrides: tuple[str, ...] = ()
+) -> np.ndarray:
     loaded = load(path, overrides)
     return simulate(identification(prepare(loaded, find_fmus(loaded, fmi, kind)))).values
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_all_kinds_of_fmu_give_the_same_digits(base: str, scenario_file: Maker) -> None:
-    path = scenario_file(with_effects(base, "cogging", "backlash", "input_noise", "measurement_delay").replace("2 s", "0.5 s"))
+    path = scenario_file(
+        with_effects(base, "cogging", "backlash", "input_noise", "measurement_delay").replace(
+            "2 s", "0.5 s"
+        )
+    )
     native = signals(path)
     np.testing.assert_array_equal(native, signals(path, 3))
     np.testing.assert_allclose(native, signals(path, 2, "python"), rtol=1e-10, atol=1e-11)
     assert np.ptp(native[:, 0]) > 0
 
 
-def test_a_parameter_of_an_effect_is_set_in_the_file_and_from_the_command_line(base: str, scenario_file: Maker) -> None:
+def test_a_parameter_of_an_effect_is_set_in_the_file_and_from_the_command_line(
+    base: str, scenario_file: Maker
+) -> None:
     default = signals(scenario_file(with_effects(base, "bias")))
-    strong = signals(scenario_file(with_effects(base, "bias", parameters='bias.torque = "3 mN.m"'), "strong"))
+    strong = signals(
+        scenario_file(with_effects(base, "bias", parameters='bias.torque = "3 mN.m"'), "strong")
+    )
     assert np.nanmax(np.abs(strong - default)) > 1e-3
     np.testing.assert_array_equal(
-        strong, signals(scenario_file(with_effects(base, "bias")), overrides=("plant.parameters.bias.torque=3 mN.m",))
+        strong,
+        signals(
+            scenario_file(with_effects(base, "bias")),
+            overrides=("plant.parameters.bias.torque=3 mN.m",),
+        ),
     )
 
 
@@ -56,7 +72,9 @@ def test_effects_from_the_command_line(base: str, scenario_file: Maker) -> None:
     np.testing.assert_array_equal(one, signals(scenario_file(with_effects(base, "bias"))))
 
 
-def test_a_bias_is_the_load_that_an_observer_should_find(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_a_bias_is_the_load_that_an_observer_should_find(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     text = with_effects(base, "bias", parameters='bias.torque = "0.4 mN.m"').replace("2 s", "20 s")
     done = run(scenario_file(text), tmp_path, Options())
     load = done.result["estimates"]["load"]
@@ -74,10 +92,14 @@ def test_the_observer_gets_the_input_without_the_noise(base: str, scenario_file:
 
 
 @pytest.mark.parametrize("sensor", ["clean", "encoder"])
-def test_a_delay_reaches_whatever_the_observer_reads(sensor: str, base: str, scenario_file: Maker) -> None:
+def test_a_delay_reaches_whatever_the_observer_reads(
+    sensor: str, base: str, scenario_file: Maker
+) -> None:
     """Driven in open loop, all that an observer can read is shifted by the delay."""
     driven = with_effects(base, "measurement_delay").replace(
-        "[[checks]]", '[[stimuli]]\nvariable = "u"\npoints = [["0 s", "3 V"], ["1 s", "-2 V"]]\n\n[[checks]]', 1
+        "[[checks]]",
+        '[[stimuli]]\nvariable = "u"\npoints = [["0 s", "3 V"], ["1 s", "-2 V"]]\n\n[[checks]]',
+        1,
     )
     path = scenario_file(f'sensor = "{sensor}"\n{driven}')
     found = []
@@ -97,7 +119,9 @@ def test_a_smooth_law_with_effects_has_an_encoder(base: str, scenario_file: Make
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_parameter_without_a_true_value_has_no_error(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_a_parameter_without_a_true_value_has_no_error(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     path = scenario_file(with_effects(base, "friction_drift").replace("2 s", "6 s"))
     estimates = run(path, tmp_path / "out", Options()).result["estimates"]
     assert estimates["alpha2"]["true"] == 2.0
@@ -110,21 +134,42 @@ def test_a_parameter_without_a_true_value_has_no_error(base: str, scenario_file:
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
-        (("modified", ["coging"], ""), ["plant:", "unknown effect 'coging'", "did you mean 'cogging'"]),
+        (
+            ("modified", ["coging"], ""),
+            ["plant:", "unknown effect 'coging'", "did you mean 'cogging'"],
+        ),
         (("modified", ["presliding"], ""), ["plant:", "'presliding' cannot join law 'modified'"]),
-        (("modfied", ["bias"], ""), ["plant:", "unknown friction law 'modfied'", "did you mean 'modified'"]),
+        (
+            ("modfied", ["bias"], ""),
+            ["plant:", "unknown friction law 'modfied'", "did you mean 'modified'"],
+        ),
         (("modified", ["bias", "bias"], ""), ["plant:", "'bias' is given twice"]),
-        (("modified", ["bias"], 'bias.torqe = "1 N.m"'), ["plant.parameters.bias.torqe", "did you mean 'bias.torque'"]),
+        (
+            ("modified", ["bias"], 'bias.torqe = "1 N.m"'),
+            ["plant.parameters.bias.torqe", "did you mean 'bias.torque'"],
+        ),
         (("modified", ["bias"], "bias.torque = 1"), ["plant.parameters.bias.torque", "no unit"]),
-        (("modified", ["measurement_delay"], "measurement_delay.samples = 41"), ["outside [0, 40]"]),
-        (("modified", ["input_noise"], "input_noise.seed = 1.5"), ["plant.parameters.input_noise.seed", "whole number"]),
+        (
+            ("modified", ["measurement_delay"], "measurement_delay.samples = 41"),
+            ["outside [0, 40]"],
+        ),
+        (
+            ("modified", ["input_noise"], "input_noise.seed = 1.5"),
+            ["plant.parameters.input_noise.seed", "whole number"],
+        ),
     ],
 )
 def test_what_cannot_be_is_one_line(
-    plant: tuple[str, list[str], str], words: list[str], base: str, scenario_file: Maker, message: Message
+    plant: tuple[str, list[str], str],
+    words: list[str],
+    base: str,
+    scenario_file: Maker,
+    message: Message,
 ) -> None:
     law, effects, parameters = plant
-    path = scenario_file(with_effects(base, *effects, parameters=parameters).replace('"modified"', f'"{law}"', 1))
+    path = scenario_file(
+        with_effects(base, *effects, parameters=parameters).replace('"modified"', f'"{law}"', 1)
+    )
 
     def read() -> None:
         loaded = load(path)
@@ -136,22 +181,38 @@ def test_what_cannot_be_is_one_line(
         assert word in line, line
 
 
-def test_effects_and_a_foreign_plant_exclude_each_other(base: str, scenario_file: Maker, message: Message) -> None:
-    path = scenario_file(with_effects(base, "bias").replace('law = "modified"', 'fmu = "other.fmu"'))
+def test_effects_and_a_foreign_plant_exclude_each_other(
+    base: str, scenario_file: Maker, message: Message
+) -> None:
+    path = scenario_file(
+        with_effects(base, "bias").replace('law = "modified"', 'fmu = "other.fmu"')
+    )
     assert "effects join a law, and fmu is given" in message(lambda: load(path))
 
 
 def test_no_method_is_taken_for_diverged(base: str, scenario_file: Maker) -> None:
-    path, ended = scenario_file(base.replace('duration = "2 s"', 'duration = "3 s"\nsensor = "encoder"')), {}
+    path, ended = (
+        scenario_file(base.replace('duration = "2 s"', 'duration = "3 s"\nsensor = "encoder"')),
+        {},
+    )
     for method in methods():
         loaded = load(path, (f"observer.method={method}",))
-        ended[method] = simulate(identification(prepare(loaded, find_fmus(loaded, 2, "native")))).failure
+        ended[method] = simulate(
+            identification(prepare(loaded, find_fmus(loaded, 2, "native")))
+        ).failure
     assert {method: failure for method, failure in ended.items() if failure} == {}
 
 
-def test_a_torque_on_the_shaft_is_the_true_load(base: str, scenario_file: Maker, tmp_path: Path) -> None:
-    stimulus = '[[stimuli]]\nvariable = "tau_load"\npoints = [["0 s", "0 N.m"], ["1 s", "0.0004 N.m"]]\n[[checks]]'
+def test_a_torque_on_the_shaft_is_the_true_load(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
+    stimulus = (
+        '[[stimuli]]\nvariable = "tau_load"\npoints = [["0 s", "0 N.m"], ["1 s", "0.0004'
+        ' N.m"]]\n[[checks]]'
+    )
     result = run(scenario_file(base.replace("[[checks]]", stimulus, 1)), tmp_path / "out").result
     load_found = result["estimates"]["load"]
     assert load_found["true"] == pytest.approx(0.4)
-    assert "load_valid" in (tmp_path / "out" / "case" / "signals.csv").read_text().partition("\n")[0].split(",")
+    assert "load_valid" in (tmp_path / "out" / "case" / "signals.csv").read_text().partition("\n")[
+        0
+    ].split(",")

@@ -34,7 +34,11 @@ def voltage(seed: int, n: int = 5000) -> np.ndarray:
 def record(law: str, values: dict[str, float], seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     u = voltage(seed)
     bus = Bus(
-        (Instance("p", Fmu(obtain("plant", law=law)), values),), len(u) - 1, H, series={("p", "u"): u[:-1]}, record=(("p", "v"),)
+        (Instance("p", Fmu(obtain("plant", law=law)), values),),
+        len(u) - 1,
+        H,
+        series={("p", "u"): u[:-1]},
+        record=(("p", "v"),),
     )
     return u, simulate(bus)["p", "v"]
 
@@ -54,11 +58,15 @@ def test_the_right_model_is_found_exactly() -> None:
 
 
 def test_a_record_of_position_is_fitted_by_its_increments() -> None:
-    """Encoder counts: the fit is as good although single increments are as coarse as the friction's details."""
+    """Encoder counts: the fit is as good although single increments are as coarse as the friction's
+    details.
+    """
     values = {"b": 0.0065, "a2": 0.002, "coulomb.Fc": 0.004}
     u = voltage(1)
     unit = Instance("p", Fmu(obtain("plant", law="coulomb")), values)
-    v_enc = simulate(Bus((unit,), len(u) - 1, H, series={("p", "u"): u[:-1]}, record=(("p", "v_enc"),)))["p", "v_enc"]
+    v_enc = simulate(
+        Bus((unit,), len(u) - 1, H, series={("p", "u"): u[:-1]}, record=(("p", "v_enc"),))
+    )["p", "v_enc"]
     with LeanModel("coulomb", Fmu(obtain("plant", law="coulomb"))) as model:
         found = fit(model, Data(u, v_enc, H, increments=True))
     assert found.parameters == pytest.approx({"b": 6.5, "a2": 2.0, "coulomb.Fc": 4.0}, rel=0.01)
@@ -76,7 +84,9 @@ def test_floor_finds_set_r_and_says_tau_vanishes() -> None:
 
 
 def test_starts_come_from_the_record_alone() -> None:
-    """A plant scaled in time and angle gives starts scaled alike: there is no absolute size in them."""
+    """A plant scaled in time and angle gives starts scaled alike: there is no absolute size in
+    them.
+    """
     u, v = record("modified", SET_R)
     plain, scaled = starts("modified", Data(u, v, H)), starts("modified", Data(u, 100 * v, H))
     for one, other in zip(plain, scaled, strict=True):
@@ -89,7 +99,14 @@ def test_validation_ranks_model_floor_and_baselines() -> None:
     u, v = record("modified", SET_R)
     u2, v2 = record("modified", SET_R, seed=2)
     fmus = lean_fmus()
-    finals = {"alpha2": 2.0, "b": 6.5, "sigma0": 800.0, "sigma1": 1067.0, "sigma2": 400.0, "c": 210.0}
+    finals = {
+        "alpha2": 2.0,
+        "b": 6.5,
+        "sigma0": 800.0,
+        "sigma1": 1067.0,
+        "sigma2": 400.0,
+        "c": 210.0,
+    }
     estimates = {name: {"final": value, "valid": True} for name, value in finals.items()}
     identified = identified_model(estimates, {}, fmus)
     assert identified.law == "modified"
@@ -104,7 +121,9 @@ def test_a_model_needs_enough_valid_estimates() -> None:
     fmus = lean_fmus()
 
     def law(known: dict[str, float] | None = None, **finals: float) -> str | None:
-        estimates = {name: {"final": value, "valid": value == value} for name, value in finals.items()}
+        estimates = {
+            name: {"final": value, "valid": value == value} for name, value in finals.items()
+        }
         return identified_model(estimates, known or {}, fmus).law
 
     assert law(alpha2=2.0, b=6.5) == "viscous"
@@ -113,7 +132,9 @@ def test_a_model_needs_enough_valid_estimates() -> None:
     presliding = {"sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0}
     assert law(**presliding) is None
     assert law({"alpha2": 2.0, "b": 6.5}, **presliding) == "modified"
-    outside = identified_model({n: {"final": -1.0, "valid": True} for n in ("alpha2", "b", *presliding)}, {}, fmus)
+    outside = identified_model(
+        {n: {"final": -1.0, "valid": True} for n in ("alpha2", "b", *presliding)}, {}, fmus
+    )
     assert outside.problem is not None
     assert "outside" in outside.problem
 

@@ -1,4 +1,6 @@
-"""Whatever a foreign FMU does: one line that names it, nothing left of it, within the time limit."""
+"""Whatever a foreign FMU does: one line that names it, nothing left of it, within the time
+limit.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def plant(tiny_fmu: Maker) -> Path:
 
 @pytest.fixture
 def faulty(plant: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Bus]:
-    """Return a maker of buses whose plant has a fault at 0.5 s of 0.9 s, or in its calls before and after."""
+    """Return a maker of buses whose plant has a fault at 0.5 s of 0.9 s, or in its calls before and
+    after.
+    """
 
     def make(fault: str) -> Bus:
         monkeypatch.setenv("TINY_TROUBLE", fault)
@@ -48,7 +52,9 @@ def faulty(plant: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Bus]
 
 
 def left() -> list[str]:
-    """Return the processes that have the environment of a fault; this one got it after it had started."""
+    """Return the processes that have the environment of a fault; this one got it after it had
+    started.
+    """
     found = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -86,19 +92,25 @@ def test_without_a_limit_a_call_that_does_not_return_is_ended(
     faulty: Callable[[str], Bus], message: Message, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(isolate, "LONGEST_CALL", LIMIT)
-    assert f"did not answer for {LIMIT:g} s (its step 501)" in message(lambda: simulate_isolated(faulty("step")))
+    assert f"did not answer for {LIMIT:g} s (its step 501)" in message(
+        lambda: simulate_isolated(faulty("step"))
+    )
     assert left() == []
 
 
 def test_a_process_that_it_starts_ends_with_it(faulty: Callable[[str], Bus]) -> None:
-    """Also one that has left the group and ignores signals that can be ignored; the run itself is not harmed."""
+    """Also one that has left the group and ignores signals that can be ignored; the run itself is
+    not harmed.
+    """
     trace = simulate_isolated(faulty("daemon"), timeout=60.0)
     assert trace.failure is None
     assert trace.steps == 900
     assert left() == []
 
 
-def test_the_worker_does_not_outlive_its_supervisor(faulty: Callable[[str], Bus], message: Message) -> None:
+def test_the_worker_does_not_outlive_its_supervisor(
+    faulty: Callable[[str], Bus], message: Message
+) -> None:
     assert "SIGKILL" in message(lambda: simulate_isolated(faulty("orphan"), timeout=60.0))
     end = time.monotonic() + 5
     while left() and time.monotonic() < end:
@@ -106,24 +118,35 @@ def test_the_worker_does_not_outlive_its_supervisor(faulty: Callable[[str], Bus]
     assert left() == []
 
 
-@pytest.mark.parametrize(("fault", "word"), [("forge", "not what was asked for"), ("pipe", "no file")])
+@pytest.mark.parametrize(
+    ("fault", "word"), [("forge", "not what was asked for"), ("pipe", "no file")]
+)
 def test_a_forged_answer_is_refused_and_runs_no_code(
-    fault: str, word: str, faulty: Callable[[str], Bus], message: Message, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fault: str,
+    word: str,
+    faulty: Callable[[str], Bus],
+    message: Message,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert word in message(lambda: simulate_isolated(faulty(fault), timeout=60.0))
     assert not list(tmp_path.rglob("forged"))
 
 
-def test_one_that_takes_all_memory_harms_itself_alone(faulty: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_takes_all_memory_harms_itself_alone(
+    faulty: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     own = (
-        int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        * resource.getpagesize()
     )  # which other tests have used
     limit = max(3 << 30, own + (1 << 28))
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))  # the limit of the user is kept where it is lower
+    # the limit of the user is kept where it is lower
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
     try:
         trace = simulate_isolated(faulty("memory"), timeout=60.0)
     finally:
@@ -159,7 +182,9 @@ def test_the_unit_that_made_the_nan_is_named(faulty: Callable[[str], Bus]) -> No
 
 def test_a_replay_has_the_limit_too(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TINY_TROUBLE", "step")
-    task = Replay(Fmu(plant, foreign=True), 1e-3, (ReplaySegment(0.0, np.ones(900), {}),), ("v",), {})
+    task = Replay(
+        Fmu(plant, foreign=True), 1e-3, (ReplaySegment(0.0, np.ones(900), {}),), ("v",), {}
+    )
     with pytest.raises(BristleError, match=r"took longer than 1\.5 s"):
         replay_records(task, timeout=LIMIT)
     assert left() == []
@@ -180,7 +205,7 @@ def test_a_pipe_in_the_place_of_the_file_is_refused(tmp_path: Path, message: Mes
     assert "is not a file" in message(lambda: Fmu(tmp_path / "pipe.fmu", foreign=True))
 
 
-# -- answers -------------------------------------------------------------------------------------------------------------
+# -- answers ---------------------------------------------------------------------------------------
 
 
 def test_an_answer_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -199,7 +224,15 @@ def test_an_answer_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\x80\x04.", b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"]
+    "content",
+    [
+        b"",
+        b"\x80\x04.",
+        (
+            b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape':"
+            b" (1000000000000,), }"
+        ),
+    ],
 )
 def test_what_is_no_answer_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "answer").write_bytes(content)

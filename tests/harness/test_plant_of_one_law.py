@@ -27,26 +27,41 @@ def outcome(path: Path, out: Path, fmi: int = 2) -> tuple[str, dict[str, Any]]:
     folder = out / path.stem
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     kept = ("verdict", "steps", "estimates", "states", "checks")
-    return (folder / "signals.csv").read_text(encoding="utf-8"), {key: result.get(key) for key in kept}
+    return (folder / "signals.csv").read_text(encoding="utf-8"), {
+        key: result.get(key) for key in kept
+    }
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_the_whole_quick_scenario_runs_with_the_same_digits(fmi: int, scenario_file: Maker, tmp_path: Path) -> None:
+def test_the_whole_quick_scenario_runs_with_the_same_digits(
+    fmi: int, scenario_file: Maker, tmp_path: Path
+) -> None:
     alone, whole = obtain("plant", law="modified", fmi=fmi), obtain("plant", fmi=fmi)
     number = list(laws()).index("modified") + 1
     expected = outcome(scenario_file(QUICK, "quick"), tmp_path / "all", fmi)
     one = scenario_file(QUICK.replace(LAW, f'fmu = "{alone}"'), "quick")
     assert outcome(one, tmp_path / "one", fmi) == expected
-    by_index = QUICK.replace(LAW, f'fmu = "{whole}"').replace(INERTIA, f"law_index = {number}\n{INERTIA}")
+    by_index = QUICK.replace(LAW, f'fmu = "{whole}"').replace(
+        INERTIA, f"law_index = {number}\n{INERTIA}"
+    )
     assert outcome(scenario_file(by_index, "quick"), tmp_path / "index", fmi) == expected
 
 
-def test_a_scenario_that_names_its_law_has_no_number_beside(scenario_file: Maker, tmp_path: Path, message: Message) -> None:
+def test_a_scenario_that_names_its_law_has_no_number_beside(
+    scenario_file: Maker, tmp_path: Path, message: Message
+) -> None:
     path = scenario_file(QUICK.replace(INERTIA, f"law_index = 3\n{INERTIA}"), "quick")
     line = message(lambda: run(path, tmp_path / "out"))
-    assert line == f"{path}: plant.parameters.law_index = 3: the scenario chooses by plant.law; remove it"
+    assert (
+        line
+        == f"{path}: plant.parameters.law_index = 3: the scenario chooses by plant.law; remove it"
+    )
 
 
-def test_a_number_of_no_law_ends_the_run(scenario_file: Maker, tmp_path: Path, message: Message) -> None:
-    text = QUICK.replace(LAW, f'fmu = "{obtain("plant")}"').replace(INERTIA, f"law_index = 99\n{INERTIA}")
+def test_a_number_of_no_law_ends_the_run(
+    scenario_file: Maker, tmp_path: Path, message: Message
+) -> None:
+    text = QUICK.replace(LAW, f'fmu = "{obtain("plant")}"').replace(
+        INERTIA, f"law_index = 99\n{INERTIA}"
+    )
     assert "law_index" in message(lambda: run(scenario_file(text, "quick"), tmp_path / "out"))

@@ -46,7 +46,9 @@ def test_what_is_not_ours_is_never_replaced(tmp_path: Path, message: Message, st
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_full_disk_keeps_the_old_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, message: Message) -> None:
+def test_a_full_disk_keeps_the_old_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, message: Message
+) -> None:
     results.write(tmp_path, "case", {"result.json": "{}", "old.csv": "old"})
 
     def full(_descriptor: int) -> None:
@@ -83,7 +85,10 @@ def test_an_exchange_that_fails_puts_the_old_result_back(
 
 def test_a_file_in_the_way_is_one_line(tmp_path: Path, message: Message) -> None:
     (tmp_path / "out").write_text("a file")
-    for call in (lambda: output.check_writable(tmp_path / "out"), lambda: results.write(tmp_path / "out", "case", FILES)):
+    for call in (
+        lambda: output.check_writable(tmp_path / "out"),
+        lambda: results.write(tmp_path / "out", "case", FILES),
+    ):
         assert "output folder" in message(call)
 
 

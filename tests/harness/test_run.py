@@ -74,7 +74,9 @@ max = 50
 
 @pytest.mark.usefixtures("undrawn")
 def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> None:
-    """The numbers of result.json, with names of parameters, states and fitted models generalised, are those of the table."""
+    """The numbers of result.json, with names of parameters, states and fitted models generalised,
+    are those of the table.
+    """
     result = json.loads((finished.folder / "result.json").read_text())
 
     def paths(node: object, path: str) -> Iterator[str]:
@@ -86,24 +88,37 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
 
     found = {re.sub(r"^estimates\.\w+", "estimates.PARAMETER", path) for path in paths(result, "")}
     found = {re.sub(r"^states\.\w+", "states.STATE", path) for path in found}
-    found = {re.sub(r"(?<=[._])(linear|coulomb|floor)(?=_mse|$|\.)", "BASELINE", path) for path in found}
-    other = ("timing.", "wall_s", "provenance.")  # known only when the checks are done, or no result
+    found = {
+        re.sub(r"(?<=[._])(linear|coulomb|floor)(?=_mse|$|\.)", "BASELINE", path) for path in found
+    }
+    # known only when the checks are done, or no result
+    other = ("timing.", "wall_s", "provenance.")
     found = {path for path in found if not path.startswith(other)}
     given_by_some = {"record.samples", "innovation", "estimates.PARAMETER.sd"}
-    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("tracking.")}  # test_tracking.py
-    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("behaviour.")}  # test_behaviour.py
+    # test_tracking.py
+    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("tracking.")}
+    # test_behaviour.py
+    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("behaviour.")}
     assert found | given_by_some == set(metrics.CHECK_QUANTITIES)
     demanded = {path for path in paths(result, "") if not path.startswith(other)}
-    assert demanded <= set(metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"]))
+    assert demanded <= set(
+        metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"])
+    )
 
 
 @pytest.mark.parametrize(
     ("path", "unit"),
     [
-        ("estimates.b.settling_s", "s"), ("estimates.b.final", "rad/(s2.V)"), ("states.v.rms", "rad/s"), ("tracking_rms", "rad/s"),
-        ("validation.linear_mse_percent", "%"), ("validation.mse_over_floor", "1"), ("estimates.none.final", "1"), ("nothing", "1"),
+        ("estimates.b.settling_s", "s"),
+        ("estimates.b.final", "rad/(s2.V)"),
+        ("states.v.rms", "rad/s"),
+        ("tracking_rms", "rad/s"),
+        ("validation.linear_mse_percent", "%"),
+        ("validation.mse_over_floor", "1"),
+        ("estimates.none.final", "1"),
+        ("nothing", "1"),
     ],
-)  # fmt: skip
+)
 def test_the_unit_of_a_check_is_known(finished: Run, path: str, unit: str) -> None:
     assert metrics.check_unit(finished.result, path) == unit
 
@@ -115,9 +130,28 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
     assert result["steps"] == 6000
     assert result["wall_s"] > 0
     assert set(result["estimates"]) >= {"alpha2", "b", "Fc"}
-    assert {"unit", "true", "final", "sd", "valid", "adapted", "error_percent", "settling_s"} <= set(result["estimates"]["b"])
-    assert set(result["provenance"]) == {"version", "date", "platform", "folder", "scenario_sha256", "seed", "command"}
-    assert {"mse_percent", "linear_mse_percent", "coulomb_mse_percent", "floor_mse_percent"} <= set(result["validation"])
+    assert {
+        "unit",
+        "true",
+        "final",
+        "sd",
+        "valid",
+        "adapted",
+        "error_percent",
+        "settling_s",
+    } <= set(result["estimates"]["b"])
+    assert set(result["provenance"]) == {
+        "version",
+        "date",
+        "platform",
+        "folder",
+        "scenario_sha256",
+        "seed",
+        "command",
+    }
+    assert {"mse_percent", "linear_mse_percent", "coulomb_mse_percent", "floor_mse_percent"} <= set(
+        result["validation"]
+    )
     assert {"name", "value", "limit", "pass"} <= set(result["checks"][0])
     assert set(result["fmus"]) == {"plant", "controller", "observer"}
     assert {"file", "sha256", "fmi", "kind"} == set(result["fmus"]["plant"])
@@ -128,7 +162,9 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
 def test_provenance_repeats_the_run(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path, overrides = scenario_file(base), ["plant.parameters.J=0.002 kg.m2", "duration=1 s"]
     before = datetime.now(UTC).replace(microsecond=0)
-    found = run(path, tmp_path / "out", Options(seed=4, overrides=overrides, fmi=3)).result["provenance"]
+    found = run(path, tmp_path / "out", Options(seed=4, overrides=overrides, fmi=3)).result[
+        "provenance"
+    ]
     assert before <= datetime.fromisoformat(found["date"]) <= datetime.now(UTC)
     assert found["scenario_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert found["seed"] == 4
@@ -161,9 +197,15 @@ def test_the_truth_grows_with_the_load(finished: Run) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_state_errors_pair_an_estimate_with_the_sample_before(base: str, scenario_file: Maker, tmp_path: Path) -> None:
-    """What is published at t_k+1 estimates t_k; paired with t_k+1 the error of v would be what v moves in a sample."""
-    done = run(scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=20 s"]))
+def test_state_errors_pair_an_estimate_with_the_sample_before(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
+    """What is published at t_k+1 estimates t_k; paired with t_k+1 the error of v would be what v
+    moves in a sample.
+    """
+    done = run(
+        scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=20 s"])
+    )
     names = (done.folder / "signals.csv").read_text().partition("\n")[0].split(",")
     table = np.loadtxt(done.folder / "signals.csv", delimiter=",", skiprows=1)
     v, v_hat = table[:, names.index("v")], table[:, names.index("v_hat")]
@@ -220,21 +262,34 @@ def test_the_report_takes_little_time(finished: Run) -> None:
 
 
 def test_full_rate_on_request(base: str, scenario_file: Maker, tmp_path: Path) -> None:
-    done = run(scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=3 s"]))
+    done = run(
+        scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=3 s"])
+    )
     assert len((done.folder / "signals.csv").read_text().splitlines()) == 3002
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_seed_changes_the_reference_and_nothing_else_does(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_a_seed_changes_the_reference_and_nothing_else_does(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     path = scenario_file(base)
-    texts = [(run(path, tmp_path / "out", Options(seed=seed)).folder / "signals.csv").read_text() for seed in (1, 1, 2)]
+    texts = [
+        (run(path, tmp_path / "out", Options(seed=seed)).folder / "signals.csv").read_text()
+        for seed in (1, 1, 2)
+    ]
     assert texts[0] == texts[1]
     assert texts[0] != texts[2]
 
 
-def test_an_observer_that_diverges_fails_with_the_time(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_an_observer_that_diverges_fails_with_the_time(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     wrong = '[observer.parameters]\nbesancon.alpha2 = "1e6 1/s"\n\n[[checks]]'
-    text = base.replace("bastin_gevers", "besancon").replace("[[checks]]", wrong).replace("estimates.b.error_percent", "steps")
+    text = (
+        base.replace("bastin_gevers", "besancon")
+        .replace("[[checks]]", wrong)
+        .replace("estimates.b.error_percent", "steps")
+    )
     done = run(scenario_file(text), tmp_path / "out")
     result = json.loads((done.folder / "result.json").read_text())
     assert result["verdict"] == "fail"
@@ -254,9 +309,16 @@ def test_a_missing_quantity_fails(base: str, scenario_file: Maker, tmp_path: Pat
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("fault", ["none", "error"])
-def test_a_foreign_plant_takes_part(fault: str, tiny_fmu: Maker, base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_a_foreign_plant_takes_part(
+    fault: str, tiny_fmu: Maker, base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     plant = f'fmu = "{tiny_fmu(fault)}"\n[plant.parameters]\ngain = 6.0'
-    done = run(scenario_file(base.replace('law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', plant)), tmp_path / "out")
+    done = run(
+        scenario_file(
+            base.replace('law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', plant)
+        ),
+        tmp_path / "out",
+    )
     assert done.result["estimates"]["b"]["true"] is None
     if fault == "none":
         assert done.result["fmus"]["plant"]["file"] == "none.fmu"
@@ -266,7 +328,9 @@ def test_a_foreign_plant_takes_part(fault: str, tiny_fmu: Maker, base: str, scen
         assert not done.passed
 
 
-def test_a_plant_without_friction_has_no_friction_truth(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+def test_a_plant_without_friction_has_no_friction_truth(
+    base: str, scenario_file: Maker, tmp_path: Path
+) -> None:
     done = run(scenario_file(base), tmp_path / "out", Options(overrides=["plant.law=viscous"]))
     assert done.result["estimates"]["Fc"]["true"] is None
     assert done.result["estimates"]["b"]["true"] == pytest.approx(6.5)

@@ -16,7 +16,14 @@ import pytest
 from bristle.harness.store import Store
 
 Message = Callable[[Callable[[], object]], str]
-DESCRIPTION = {"scenario": "quick", "scenario_sha256": "", "vary": {}, "runs": 4, "fmus": [], "provenance": {"date": "2020"}}
+DESCRIPTION = {
+    "scenario": "quick",
+    "scenario_sha256": "",
+    "vary": {},
+    "runs": 4,
+    "fmus": [],
+    "provenance": {"date": "2020"},
+}
 
 
 def row(key: str, verdict: str = "pass", **more: object) -> dict[str, Any]:
@@ -44,7 +51,9 @@ def test_of_a_run_that_is_there_twice_the_one_without_error_counts(store: Store)
     pytest.importorskip("duckdb")
     store.add([row("3", "fail"), row("0", "pass", error=0.5)])
     assert store.table()["verdict"].to_pylist() == ["pass", "fail", "pass", "fail"]
-    names, rows = store.query("SELECT verdict, count(*) AS n FROM runs GROUP BY verdict ORDER BY verdict")
+    names, rows = store.query(
+        "SELECT verdict, count(*) AS n FROM runs GROUP BY verdict ORDER BY verdict"
+    )
     assert (names, rows) == (["verdict", "n"], [("fail", 2), ("pass", 2)])
 
 
@@ -55,7 +64,9 @@ def test_a_damaged_file_costs_its_own_runs_only(store: Store, damage: str) -> No
     if damage == "flipped":
         place = content.index(b"no", 4)  # of a page: the message
         content[place] ^= 255
-    victim.write_bytes({"cut": content[: len(content) // 2], "empty": b""}.get(damage, bytes(content)))
+    victim.write_bytes(
+        {"cut": content[: len(content) // 2], "empty": b""}.get(damage, bytes(content))
+    )
     assert set(store.done()) == {"0", "1"}
     assert store.table()["run"].to_pylist() == [0, 1]
 
@@ -64,7 +75,11 @@ def test_a_page_that_is_not_what_was_written_is_refused(store: Store, message: M
     """A number that has changed is still a number: only the checksum of its page tells."""
     pytest.importorskip("duckdb")
     store.add([row("9", error=123.456)])
-    victim = next(path for path in store.files() if b"9" in path.read_bytes() and pq.read_table(path)["run"].to_pylist() == [9])
+    victim = next(
+        path
+        for path in store.files()
+        if b"9" in path.read_bytes() and pq.read_table(path)["run"].to_pylist() == [9]
+    )
     content = bytearray(victim.read_bytes())
     place = content.index(struct.pack("<d", 123.456))
     content[place] ^= 1
@@ -75,7 +90,9 @@ def test_a_page_that_is_not_what_was_written_is_refused(store: Store, message: M
     assert set(store.done()) == {"0", "1", "2"}
 
 
-def test_a_full_disk_leaves_what_was_there(store: Store, monkeypatch: pytest.MonkeyPatch, message: Message) -> None:
+def test_a_full_disk_leaves_what_was_there(
+    store: Store, monkeypatch: pytest.MonkeyPatch, message: Message
+) -> None:
     before = sorted(os.listdir(store.path / "runs"))
 
     def full(_handle: int) -> None:
@@ -87,7 +104,9 @@ def test_a_full_disk_leaves_what_was_there(store: Store, monkeypatch: pytest.Mon
     assert sorted(os.listdir(store.path / "runs")) == before
 
 
-def test_an_interrupt_while_a_file_is_written_is_an_interrupt(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_while_a_file_is_written_is_an_interrupt(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(_handle: int) -> None:
         try:
             raise KeyboardInterrupt
@@ -112,13 +131,17 @@ def test_a_file_of_somebody_else_is_named(store: Store, message: Message) -> Non
     before = store.done()
     pq.write_table(pa.table({"a": [1]}), foreign)
     for work in (store.done, store.table):
-        assert message(work) == f"{foreign}: holds no runs of bristle sweep; remove it from the store"
+        assert (
+            message(work) == f"{foreign}: holds no runs of bristle sweep; remove it from the store"
+        )
     foreign.unlink()
     assert store.done() == before
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[1]", '{"provenance": {}}'])
-def test_a_damaged_description_is_named_and_written_anew(store: Store, message: Message, content: str) -> None:
+def test_a_damaged_description_is_named_and_written_anew(
+    store: Store, message: Message, content: str
+) -> None:
     path = store.path / "sweeps" / "one.json"
     path.write_text(content, encoding="utf-8")
     line = message(store.sweeps)

@@ -37,11 +37,19 @@ def scenario(folder: Path, name: str, limit: float = 50.0) -> Path:
 
 
 def check(value, kind="max_abs", limit=2.0, holds=True):
-    return {"name": "error", "quantity": "estimates.b.error_percent", "kind": kind, "value": value, "limit": limit, "pass": holds}
+    return {
+        "name": "error",
+        "quantity": "estimates.b.error_percent",
+        "kind": kind,
+        "value": value,
+        "limit": limit,
+        "pass": holds,
+    }
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"), [("1-3", [1, 2, 3]), ("1,4,7-9", [1, 4, 7, 8, 9]), (" 2 , 2-3", [2, 3]), ("12", [12])]
+    ("given", "expected"),
+    [("1-3", [1, 2, 3]), ("1,4,7-9", [1, 4, 7, 8, 9]), (" 2 , 2-3", [2, 3]), ("12", [12])],
 )
 def test_seeds(given, expected):
     assert seeds_of(given) == expected
@@ -56,17 +64,35 @@ def test_seeds_that_cannot_be(given):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ("plant.parameters.J=0.001:0.002:3 kg.m2", ["0.001 kg.m2", "0.0015 kg.m2", "0.002 kg.m2"]), ("x.y=1:2:2", ["1", "2"]),
-        ('step=["1 ms", "2 ms"]', ["1 ms", "2 ms"]), ("step=[1 ms, 2 ms]", ["1 ms", "2 ms"]), ("plant.law=[lugre]", ["lugre"]),
-        ("x=[1, 2.5]", ["1", "2.5"]), ("x=[true]", ["true"]),
+        ("plant.parameters.J=0.001:0.002:3 kg.m2", ["0.001 kg.m2", "0.0015 kg.m2", "0.002 kg.m2"]),
+        ("x.y=1:2:2", ["1", "2"]),
+        ('step=["1 ms", "2 ms"]', ["1 ms", "2 ms"]),
+        ("step=[1 ms, 2 ms]", ["1 ms", "2 ms"]),
+        ("plant.law=[lugre]", ["lugre"]),
+        ("x=[1, 2.5]", ["1", "2.5"]),
+        ("x=[true]", ["true"]),
     ],
-)  # fmt: skip
+)
 def test_values(given, expected):
     path = given.partition("=")[0]
     assert values_of(given) == [f"{path}={value}" for value in expected]
 
 
-@pytest.mark.parametrize("given", ["x", "x=", "=1:2:3", "x=1:2", "x=1:2:0", "x=1:inf:2", "x=a:b:2", "x=[]", "x=[1", "x=1:2:99999"])
+@pytest.mark.parametrize(
+    "given",
+    [
+        "x",
+        "x=",
+        "=1:2:3",
+        "x=1:2",
+        "x=1:2:0",
+        "x=1:inf:2",
+        "x=a:b:2",
+        "x=[]",
+        "x=[1",
+        "x=1:2:99999",
+    ],
+)
 def test_values_that_cannot_be(given):
     with pytest.raises(BristleError, match="vary"):
         values_of(given)
@@ -78,7 +104,9 @@ def test_cases_are_all_combinations(tmp_path):
     (tmp_path / "model.toml").write_text('friction = "coulomb"', encoding="utf-8")  # not a scenario
     cases = find_cases([tmp_path], [1, 2], [["a=1", "a=2"], ["b=3"]])
     assert [c.path.stem for c in cases] == ["one"] * 4 + ["two"] * 4
-    assert {(c.seed, c.values) for c in cases} == {(s, (a, "b=3")) for s in (1, 2) for a in ("a=1", "a=2")}
+    assert {(c.seed, c.values) for c in cases} == {
+        (s, (a, "b=3")) for s in (1, 2) for a in ("a=1", "a=2")
+    }
     assert len({c.folder / c.path.stem for c in cases}) == 8
     with pytest.raises(BristleError, match="twice"):
         find_cases([tmp_path, tmp_path / "one.toml"], [], [])
@@ -91,9 +119,15 @@ def test_cases_are_all_combinations(tmp_path):
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        (["title=a b", "title=a_b"], "vary 'title=a_b': its result folder would be that of 'title=a b', title=a_b"),
+        (
+            ["title=a b", "title=a_b"],
+            "vary 'title=a_b': its result folder would be that of 'title=a b', title=a_b",
+        ),
         (["title=A", "title=a"], "vary 'title=a': its result folder would be that of 'title=A'"),
-        (["title=b", "title=" + "x" * 20000], r"vary 'title=x{54}\.\.\.': .* 20006 bytes, allowed are 255"),
+        (
+            ["title=b", "title=" + "x" * 20000],
+            r"vary 'title=x{54}\.\.\.': .* 20006 bytes, allowed are 255",
+        ),
         (["title=" + "é" * 130], r"of 266 bytes"),
     ],
 )
@@ -104,13 +138,27 @@ def test_values_that_cannot_name_result_folders(tmp_path, values, said):
 
 def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
     runs = [
-        CaseResult(Case(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0))) for k, v in enumerate((1.0, -3.0, 0.5), 1)
+        CaseResult(Case(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0)))
+        for k, v in enumerate((1.0, -3.0, 0.5), 1)
     ]
     largest, smallest = summaries(runs)
-    assert (largest.worst, largest.worst_run, largest.median, largest.count) == (-3.0, "seed 2", 1.0, 3)
+    assert (largest.worst, largest.worst_run, largest.median, largest.count) == (
+        -3.0,
+        "seed 2",
+        1.0,
+        3,
+    )
     assert (smallest.worst, smallest.worst_run, smallest.median) == (-3.0, "seed 2", 0.5)
-    [lost, _] = summaries([*runs, CaseResult(Case(Path("s.toml"), 4), "fail", (check(None, holds=False), check(0.0, "min", -5.0)))])
-    assert (lost.passed, lost.count, lost.worst_run) == (3, 4, "seed 4")  # a number that does not exist is the worst
+    [lost, _] = summaries(
+        [
+            *runs,
+            CaseResult(
+                Case(Path("s.toml"), 4), "fail", (check(None, holds=False), check(0.0, "min", -5.0))
+            ),
+        ]
+    )
+    # a number that does not exist is the worst
+    assert (lost.passed, lost.count, lost.worst_run) == (3, 4, "seed 4")
 
 
 @pytest.mark.slow
@@ -120,7 +168,9 @@ def test_one_process_and_two_give_the_same(tmp_path):
     alone = run_suite(cases[::3], tmp_path / "alone", jobs=1)
     told = []
     both = run_suite(cases, tmp_path / "both", jobs=2, progress=lambda *given: told.append(given))
-    assert [(t.case, t.verdict, t.checks) for t in alone] == [(t.case, t.verdict, t.checks) for t in both[::3]]
+    assert [(t.case, t.verdict, t.checks) for t in alone] == [
+        (t.case, t.verdict, t.checks) for t in both[::3]
+    ]
     assert [t.verdict for t in both] == ["pass", "pass", "fail", "fail"]
     assert [done for _, done, _ in told] == [1, 2, 3, 4]
     assert both[0].checks[0]["value"] != both[1].checks[0]["value"]  # another seed
@@ -129,15 +179,23 @@ def test_one_process_and_two_give_the_same(tmp_path):
         result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
         assert (result["verdict"], result["provenance"]["seed"]) == (t.verdict, t.case.seed)
         assert t.origin["scenario_sha256"] == result["provenance"]["scenario_sha256"]
-        assert t.origin["fmus_sha256"] == {name: fmu["sha256"] for name, fmu in result["fmus"].items()}
+        assert t.origin["fmus_sha256"] == {
+            name: fmu["sha256"] for name, fmu in result["fmus"].items()
+        }
     [text] = failures(both[2])
     assert "estimates.b.error_percent" in text
     assert "must be |·| ≤ 1e-09" in text
     tree = to_tree(both, {})
-    assert (tree["verdict"], [r["verdict"] for r in tree["runs"]]) == ("fail", ["pass", "pass", "fail", "fail"])
+    assert (tree["verdict"], [r["verdict"] for r in tree["runs"]]) == (
+        "fail",
+        ["pass", "pass", "fail", "fail"],
+    )
     assert tree["runs"][0]["origin"] == both[0].origin
     root = ElementTree.fromstring(junit(both))
-    assert [(s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [("2", "0", "0"), ("2", "2", "0")]
+    assert [(s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [
+        ("2", "0", "0"),
+        ("2", "2", "0"),
+    ]
     page = render(both, {})
     assert all(t.report.as_posix() in page for t in both)
     assert "2 of 4 runs pass" in page
@@ -174,7 +232,10 @@ with _workers(1) as pool:
     pool.submit(time.sleep, 120)
     os.kill(os.getpid(), signal.SIGKILL)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60, check=False)  # till the last one ends
+    # till the last one ends
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, timeout=60, check=False
+    )
     assert done.returncode == -signal.SIGKILL
     assert int(done.stdout)
 
@@ -197,7 +258,9 @@ def test_an_interrupt_leaves_the_results_and_no_empty_folders(tmp_path, jobs):
 
 def test_nothing_runs_where_one_scenario_cannot(tmp_path):
     good, bad = scenario(tmp_path, "good"), scenario(tmp_path, "bad")
-    bad.write_text(bad.read_text(encoding="utf-8").replace("error_percent", "eror_percent"), encoding="utf-8")
+    bad.write_text(
+        bad.read_text(encoding="utf-8").replace("error_percent", "eror_percent"), encoding="utf-8"
+    )
     with pytest.raises(BristleError, match="did you mean"):
         run_suite(find_cases([good, bad], [], []), tmp_path / "out")
     assert not list(tmp_path.glob("out/**/result.json"))
@@ -220,7 +283,8 @@ def test_runs_without_result_count_where_checks_hold():
     page = render(runs, {})
     assert "2 of 3 checks, 1 run without result" in page
     assert 'badge good">2' not in page
-    lost = CaseResult(Case(Path("t.toml")), "error", message="t.toml: the disk is full")  # of which no check is known
+    # of which no check is known
+    lost = CaseResult(Case(Path("t.toml")), "error", message="t.toml: the disk is full")
     assert 'badge bad">2 of 2 checks, 1 run without result' in render([*runs[:2], lost], {})
 
 
@@ -228,9 +292,20 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     """Run pytest on a folder that is its root, results to `out` in it."""
     (folder / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
     command = [
-        sys.executable, "-m", "pytest", "-p", "no:bristle", "-p", "bristle.harness.pytest_plugin", "-p", "no:cacheprovider",
-        *arguments, str(folder), "--bristle-out", str(folder / "out"),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:bristle",
+        "-p",
+        "bristle.harness.pytest_plugin",
+        "-p",
+        "no:cacheprovider",
+        *arguments,
+        str(folder),
+        "--bristle-out",
+        str(folder / "out"),
+    ]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -241,7 +316,10 @@ def test_pytest_keeps_results_of_scenarios_of_one_name_apart(tmp_path):
         scenario(tmp_path / place, name)
     done = run_pytest(tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    found = {p.parent.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("result.json")}
+    found = {
+        p.parent.relative_to(tmp_path / "out").as_posix()
+        for p in (tmp_path / "out").rglob("result.json")
+    }
     assert found == {"a/same", "b/same", "other"}
 
 
@@ -261,7 +339,8 @@ def test_pytest_collects_scenario_files_and_shows_the_verdict_table(tmp_path):
     (tmp_path / "broken.toml").write_text("this is [no TOML", encoding="utf-8")
     (tmp_path / "model.toml").write_text('friction = "coulomb"', encoding="utf-8")  # not a scenario
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "pyproject.toml").write_text("this is [no TOML", encoding="utf-8")  # of tools of Python
+    # of tools of Python
+    (tmp_path / "other" / "pyproject.toml").write_text("this is [no TOML", encoding="utf-8")
     done = run_pytest(tmp_path, "-n", "2")
     assert done.returncode == 1, done.stdout + done.stderr
     assert "2 failed, 1 passed" in done.stdout

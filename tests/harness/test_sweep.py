@@ -57,14 +57,18 @@ def test_a_row_has_the_numbers_of_the_run_alone_and_its_command(path: Path, tmp_
         words = shlex.split(each["command"])
         overrides = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
         assert words[:3] == ["bristle", "run", str(path)]
-        alone = run(path, tmp_path / "alone", Options(overrides=overrides, seed=int(words[words.index("--seed") + 1]))).result
+        alone = run(
+            path,
+            tmp_path / "alone",
+            Options(overrides=overrides, seed=int(words[words.index("--seed") + 1])),
+        ).result
         assert each["verdict"] == alone["verdict"]
         assert each["steps"] == 2000
         for name, estimate in alone["estimates"].items():
             for key in ("final", "sd", "error_percent", "settling_s", "valid"):
-                assert each[f"estimates.{name}.{key}"] == pytest.approx(estimate[key], rel=0, abs=0, nan_ok=True) or (
-                    estimate[key] is None or estimate[key] != estimate[key]
-                )
+                assert each[f"estimates.{name}.{key}"] == pytest.approx(
+                    estimate[key], rel=0, abs=0, nan_ok=True
+                ) or (estimate[key] is None or estimate[key] != estimate[key])
         assert each["sha256.plant"] == alone["fmus"]["plant"]["sha256"]
         assert each["plant.parameters.J"] == pytest.approx(1e-3, rel=0.2)
     assert len({each["key"] for each in rows}) == 12
@@ -91,7 +95,9 @@ def test_fmus_are_loaded_once_a_chunk(path: Path, monkeypatch: pytest.MonkeyPatc
     assert sorted(loads) == ["controller", "observer", "plant"]
 
 
-def test_a_resumed_sweep_makes_what_is_missing_and_nothing_else(path: Path, tmp_path: Path, message: Message) -> None:
+def test_a_resumed_sweep_makes_what_is_missing_and_nothing_else(
+    path: Path, tmp_path: Path, message: Message
+) -> None:
     asked = design(VARY, samples=8)
     store, _ = swept(path, tmp_path / "store", asked)
     whole = table(store)
@@ -115,12 +121,17 @@ def test_another_scenario_or_option_is_another_run(path: Path, tmp_path: Path) -
     assert swept(path, tmp_path / "store", asked, resume=True)[1].runs == 1
 
 
-def test_a_value_that_cannot_be_run_is_said_before_anything_runs(path: Path, tmp_path: Path) -> None:
+def test_a_value_that_cannot_be_run_is_said_before_anything_runs(
+    path: Path, tmp_path: Path
+) -> None:
     asked = design(["plant.law=[modified, modfied]", "step=[1 ms, 3 ms]"])
     with pytest.raises(BristleError) as caught:
         swept(path, tmp_path / "store", asked)
     lines = str(caught.value).splitlines()
-    assert ["did you mean 'modified'" in lines[0], "whole number of steps" in lines[1]] == [True, True]
+    assert ["did you mean 'modified'" in lines[0], "whole number of steps" in lines[1]] == [
+        True,
+        True,
+    ]
     assert not (tmp_path / "store").exists()
 
 
@@ -152,17 +163,39 @@ def test_a_foreign_fmu_that_crashes_costs_its_own_runs_only(
 
 
 def command(path: Path, store: Path, *more: str) -> Sequence[str]:
-    words = [sys.executable, "-m", "bristle", "sweep", str(path), "--vary", VARY[0], "--samples", "80", "--set", "duration=4 s"]
+    words = [
+        sys.executable,
+        "-m",
+        "bristle",
+        "sweep",
+        str(path),
+        "--vary",
+        VARY[0],
+        "--samples",
+        "80",
+        "--set",
+        "duration=4 s",
+    ]
     return [*words, "--out", str(store), *more]
 
 
 @pytest.mark.slow
 def test_kill_and_interrupt_lose_at_most_the_chunks_in_flight(path: Path, tmp_path: Path) -> None:
     reference = tmp_path / "reference"
-    assert subprocess.run(command(path, reference, "-j", "2"), check=False, capture_output=True).returncode == 0
+    assert (
+        subprocess.run(
+            command(path, reference, "-j", "2"), check=False, capture_output=True
+        ).returncode
+        == 0
+    )
     for number in (signal.SIGKILL, signal.SIGINT):
         place = tmp_path / f"store-{number}"
-        child = subprocess.Popen(command(path, place, "-j", "2"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        child = subprocess.Popen(
+            command(path, place, "-j", "2"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         store, begun = Store(place), time.monotonic()
         while len(store.files()) < 3 and time.monotonic() < begun + 60:
             time.sleep(0.02)
@@ -181,7 +214,10 @@ def test_kill_and_interrupt_lose_at_most_the_chunks_in_flight(path: Path, tmp_pa
 @pytest.mark.slow
 def test_two_sweeps_at_once_do_not_harm_a_store(path: Path, tmp_path: Path) -> None:
     place = tmp_path / "store"
-    both = [subprocess.Popen(command(path, place, "--resume", "-j", "1", "--seeds", seeds)) for seeds in ("1-2", "2-3")]
+    both = [
+        subprocess.Popen(command(path, place, "--resume", "-j", "1", "--seeds", seeds))
+        for seeds in ("1-2", "2-3")
+    ]
     assert [each.wait(timeout=120) for each in both] == [0, 0]
     found = Store(place).table()
     assert len(found) == 240
@@ -189,7 +225,9 @@ def test_two_sweeps_at_once_do_not_harm_a_store(path: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_digits_also_when_a_worker_is_killed(path: Path, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same_digits_also_when_a_worker_is_killed(
+    path: Path, tmp_path: Path
+) -> None:
     pytest.importorskip("distributed")
     script = f"""
 import os, signal, threading, time
@@ -209,18 +247,20 @@ if __name__ == "__main__":
             while len(store.files()) < 2:
                 time.sleep(0.02)
             os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-        killer = threading.Thread(target=kill)
-        killer.start()
-        print("DONE", run_sweep(sweep, asked, store, Means(1, cluster.scheduler_address)).verdicts["pass"], killer.is_alive())
-        class Full(Store):
+        killer = threading.Thread(target=kill) killer.start() print("DONE", run_sweep(sweep, asked,
+        store, Means(1, cluster.scheduler_address)).verdicts["pass"], killer.is_alive()) class
+        Full(Store):
             def add(self, rows):
                 raise OSError("no room for a chunk")
         try:
-            run_sweep(sweep, asked, Full(Path({str(tmp_path / "full")!r})), Means(1, cluster.scheduler_address))
+            run_sweep(sweep, asked, Full(Path({str(tmp_path / "full")!r})), Means(1,
+            cluster.scheduler_address))
         except OSError as error:
             print("SAID", error)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=240)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=240
+    )
     assert "DONE 64 False" in done.stdout, done.stderr[-3000:]
     assert "SAID no room for a chunk" in done.stdout, done.stderr[-3000:]
     assert table(Store(tmp_path / "local")).equals(table(Store(tmp_path / "cluster")))
@@ -229,7 +269,9 @@ if __name__ == "__main__":
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the C library of Linux")
 def test_a_worker_of_dask_keeps_memory_from_run_to_run(path: Path) -> None:
-    """Dask starts workers with this variable; each array of a run is then new to the process, which shows as page faults."""
+    """Dask starts workers with this variable; each array of a run is then new to the process, which
+    shows as page faults.
+    """
     if not hasattr(ctypes.CDLL(None), "mallopt"):
         pytest.skip("the C library is not that of GNU")
     script = f"""
@@ -249,12 +291,16 @@ sweep = prepare_sweep(Path({str(path)!r}), asked, Options(overrides=("duration=2
 print(faults(sweep), faults(packed(sweep)))
 """
     environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment
+    )
     here, on_a_worker = map(int, done.stdout.split())
     assert on_a_worker < here / 5
 
 
-def test_a_worker_reads_the_fmus_of_a_sweep_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_reads_the_fmus_of_a_sweep_once(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = design(VARY, samples=2)
     shipped, points = packed(prepare_sweep(path, asked, Options())), list(asked.points())
     expected = run_chunk(shipped, points[:2])
@@ -264,11 +310,13 @@ def test_a_worker_reads_the_fmus_of_a_sweep_once(path: Path, monkeypatch: pytest
     assert {row["verdict"] for row in again} == {"pass"}
 
 
-# -- the report ----------------------------------------------------------------------------------------------------------
+# -- the report ------------------------------------------------------------------------------------
 
 
 def test_the_share_of_passing_runs_has_its_interval() -> None:
-    """Clopper and Pearson's interval for 0 of n is 0 to 1 - (alpha / 2)^(1 / n); for k of n it is symmetric to n - k of n."""
+    """Clopper and Pearson's interval for 0 of n is 0 to 1 - (alpha / 2)^(1 / n); for k of n it is
+    symmetric to n - k of n.
+    """
     low, high = Share(0, 20).interval
     assert (low, high) == (0.0, pytest.approx(1 - 0.025 ** (1 / 20)))
     low, high = Share(6, 20).interval
@@ -276,7 +324,10 @@ def test_the_share_of_passing_runs_has_its_interval() -> None:
 
 
 def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
-    text = path.read_text(encoding="utf-8") + '\n[[checks]]\nname = "J <is> small"\nquantity = "estimates.b.final"\nmin = 6.5\n'
+    text = (
+        path.read_text(encoding="utf-8")
+        + '\n[[checks]]\nname = "J <is> small"\nquantity = "estimates.b.final"\nmin = 6.5\n'
+    )
     path.write_text(text, encoding="utf-8")
     asked = design([VARY[0], "plant.parameters.b=uniform(0.005, 0.008) N.m/V", VARY[1]], samples=20)
     store, found = swept(path, tmp_path / "store", asked, jobs=2)
@@ -300,7 +351,9 @@ def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
     assert len(by_hand) > 10
 
 
-def test_a_sweep_that_is_not_finished_says_so(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_that_is_not_finished_says_so(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked, add = design([VARY[0]], samples=6), Store.add
 
     def interrupted(self: Store, rows: Any) -> None:
@@ -323,17 +376,45 @@ def test_a_sweep_that_is_not_finished_says_so(path: Path, tmp_path: Path, monkey
 
 
 def test_runs_at_one_place_of_a_map_are_one_point(path: Path, tmp_path: Path) -> None:
-    """Runs that fail hide none that pass: the colour says what all of them do, whatever their seed."""
+    """Runs that fail hide none that pass: the colour says what all of them do, whatever their
+    seed.
+    """
     store = Store(tmp_path / "store")
-    words = {"a": ("pass", "pass"), "b": ("pass", "fail"), "c": ("fail", "error"), "d": ("error", "error")}
+    words = {
+        "a": ("pass", "pass"),
+        "b": ("pass", "fail"),
+        "c": ("fail", "error"),
+        "d": ("error", "error"),
+    }
     cases = [(x, word, seed) for x, verdicts in words.items() for seed, word in enumerate(verdicts)]
-    made = [{"key": f"{x}{k}", "sweep": "s", "run": 2 * "abcd".index(x) + k, "verdict": v, "x": x, "y": 2.0} for x, v, k in cases]
-    told = {"scenario": "quick", "scenario_sha256": "", "runs": 8, "fmus": [], "provenance": {"date": ""}}
+    made = [
+        {
+            "key": f"{x}{k}",
+            "sweep": "s",
+            "run": 2 * "abcd".index(x) + k,
+            "verdict": v,
+            "x": x,
+            "y": 2.0,
+        }
+        for x, v, k in cases
+    ]
+    told = {
+        "scenario": "quick",
+        "scenario_sha256": "",
+        "runs": 8,
+        "fmus": [],
+        "provenance": {"date": ""},
+    }
     store.describe("s", {**told, "vary": {"x": "text", "y": "kg.m2"}})
     store.add(made)
     runs = Runs(store)
     found = {x: said for (x, _), said in _places(runs, "x", "y", runs.index).items()}
-    assert found == {"a": ("all pass", 0), "b": ("some pass", 3), "c": ("none passes", 4), "d": ("error", 6)}
+    assert found == {
+        "a": ("all pass", 0),
+        "b": ("some pass", 3),
+        "c": ("none passes", 4),
+        "d": ("error", 6),
+    }
     assert [runs.label(name) for name in ("x", "y")] == ["x", "y [kg.m2]"]
 
 
@@ -345,11 +426,15 @@ def test_runs_of_several_versions_are_told_apart(path: Path, tmp_path: Path) -> 
     swept(path, tmp_path / "store", asked, resume=True)
     page = render(Runs(store))
     assert "The runs are of 2 versions of the scenario or its FMUs" in page
-    assert page.count("100.0 % [29.2, 100.0]") >= 2  # of either version, Clopper and Pearson for 3 of 3
+    # of either version, Clopper and Pearson for 3 of 3
+    assert page.count("100.0 % [29.2, 100.0]") >= 2
 
 
 def test_a_resumed_sweep_tells_what_those_that_were_there_do(path: Path, tmp_path: Path) -> None:
-    text = path.read_text(encoding="utf-8") + '\n[[checks]]\nname = "never"\nquantity = "estimates.b.final"\nmax = -1.0\n'
+    text = (
+        path.read_text(encoding="utf-8")
+        + '\n[[checks]]\nname = "never"\nquantity = "estimates.b.final"\nmax = -1.0\n'
+    )
     path.write_text(text, encoding="utf-8")
     _, found = swept(path, tmp_path / "store", design([VARY[0]], samples=3))
     assert found.worst == "fail"
@@ -380,7 +465,9 @@ def test_python_has_the_same(path: Path, tmp_path: Path) -> None:
     assert found.verdicts == {"pass": 4, "fail": 0, "error": 0}
     assert found.table["plant.parameters.J"].to_pylist() == [0.001, 0.002, 0.001, 0.002]
     assert found.table["sensor"].to_pylist() == ["clean", "clean", "encoder", "encoder"]
-    again = bristle.sweep(path, {"sensor": ["clean"]}, tmp_path / "store", seeds=[1, 2], resume=True)
+    again = bristle.sweep(
+        path, {"sensor": ["clean"]}, tmp_path / "store", seeds=[1, 2], resume=True
+    )
     assert (again.verdicts["pass"], len(again.table)) == (2, 6)
 
 
@@ -388,15 +475,32 @@ def test_python_has_the_same(path: Path, tmp_path: Path) -> None:
     ("vary", "seeds", "overrides", "said"),
     [
         (["x=[1]", "x=[2]"], (), (), "given twice"),
-        (['plant.parameters."modified.c"=[1 1/rad]', "plant.parameters.modified.c=[2 1/rad]"], (), (), "given twice"),
+        (
+            ['plant.parameters."modified.c"=[1 1/rad]', "plant.parameters.modified.c=[2 1/rad]"],
+            (),
+            (),
+            "given twice",
+        ),
         (["controller.parameters.seed=[1, 2]"], (1,), (), "seeds are given as well"),
-        (["plant.parameters.J=[0.001 kg.m2]"], (), ("plant.parameters.J=0.002 kg.m2",), "is set for all runs as well"),
+        (
+            ["plant.parameters.J=[0.001 kg.m2]"],
+            (),
+            ("plant.parameters.J=0.002 kg.m2",),
+            "is set for all runs as well",
+        ),
     ],
 )
 def test_a_key_cannot_have_two_values(
-    path: Path, vary: list[str], seeds: tuple[int, ...], overrides: tuple[str, ...], said: str, message: Message
+    path: Path,
+    vary: list[str],
+    seeds: tuple[int, ...],
+    overrides: tuple[str, ...],
+    said: str,
+    message: Message,
 ) -> None:
-    assert said in message(lambda: prepare_sweep(path, design(vary, seeds), Options(overrides=overrides)))
+    assert said in message(
+        lambda: prepare_sweep(path, design(vary, seeds), Options(overrides=overrides))
+    )
 
 
 def test_a_column_is_named_without_quotes(path: Path, tmp_path: Path) -> None:
@@ -408,10 +512,13 @@ def test_a_column_is_named_without_quotes(path: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"jobs": 0}, "jobs 0"), ({"seeds": 3}, "seeds is 3"), ({"vary": {"sensor": 3}}, "vary['sensor'] is 3"),
-        ({"vary": ["sensor=[clean]"]}, "vary is a list"), ({"cluster": "foo", "seeds": [1]}, "no address of a Dask scheduler"),
+        ({"jobs": 0}, "jobs 0"),
+        ({"seeds": 3}, "seeds is 3"),
+        ({"vary": {"sensor": 3}}, "vary['sensor'] is 3"),
+        ({"vary": ["sensor=[clean]"]}, "vary is a list"),
+        ({"cluster": "foo", "seeds": [1]}, "no address of a Dask scheduler"),
     ],
-)  # fmt: skip
+)
 def test_python_says_what_is_wrong_and_leaves_nothing(
     path: Path, tmp_path: Path, arguments: dict[str, Any], said: str, message: Message
 ) -> None:

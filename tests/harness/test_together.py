@@ -1,4 +1,6 @@
-"""Runs in the lanes of the processor's vectors have the digits of runs with their FMUs, and give way to them where one fails."""
+"""Runs in the lanes of the processor's vectors have the digits of runs with their FMUs, and give
+way to them where one fails.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,11 @@ from bristle.harness.sweep import prepare_sweep, run_chunk
 from bristle.harness.together import RUNS_WORTH_IT, Together, alike
 
 Maker = Callable[..., Path]
-COMPENSATED = ["controller.compensation=valid", "controller.parameters.fade=1 ms", "controller.parameters.test_time=10 ms"]
+COMPENSATED = [
+    "controller.compensation=valid",
+    "controller.parameters.fade=1 ms",
+    "controller.parameters.test_time=10 ms",
+]
 STIMULI = """[[stimuli]]
 variable = "load_scale"
 points = [["0 s", 1.0], ["0.3 s", 1.7]]
@@ -62,7 +68,8 @@ def test_lanes_have_the_digits_of_fmus(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base.replace("[[checks]]", STIMULI))
     changes = ["duration=0.7 s", "sensor=encoder", "observer.method=rls", *COMPENSATED]
     setups = [
-        setup_of(path, seed, f"plant.parameters.J={mass} kg.m2", *changes) for seed, mass in enumerate((8e-4, 1e-3, 1.2e-3), 1)
+        setup_of(path, seed, f"plant.parameters.J={mass} kg.m2", *changes)
+        for seed, mass in enumerate((8e-4, 1e-3, 1.2e-3), 1)
     ]
     buses = [identification(setup) for setup in setups]
     assert len({alike(bus) for bus in buses}) == 1
@@ -73,7 +80,12 @@ def test_lanes_have_the_digits_of_fmus(base: str, scenario_file: Maker) -> None:
 
 def test_an_fmu_with_effects_and_another_law(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base)
-    changes = ["duration=0.5 s", "plant.law=gms", 'plant.effects=["cogging"]', "observer.method=two_step"]
+    changes = [
+        "duration=0.5 s",
+        "plant.law=gms",
+        'plant.effects=["cogging"]',
+        "observer.method=two_step",
+    ]
     setups = [setup_of(path, seed, *changes) for seed in (1, 2)]
     check_equal([identification(setup) for setup in setups], Together(setups[0]))
 
@@ -81,7 +93,12 @@ def test_an_fmu_with_effects_and_another_law(base: str, scenario_file: Maker) ->
 def test_another_time_base_is_not_alike(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base)
     first = identification(setup_of(path, 1))
-    for change in ("duration=1 s", "step=2 ms", "plant.parameters.solver.max_step=0.5 ms", "sensor=encoder"):
+    for change in (
+        "duration=1 s",
+        "step=2 ms",
+        "plant.parameters.solver.max_step=0.5 ms",
+        "sensor=encoder",
+    ):
         assert alike(identification(setup_of(path, 1, change))) != alike(first)
 
 
@@ -95,18 +112,27 @@ def test_a_run_that_is_out_of_the_ordinary_has_no_trace(base: str, scenario_file
     check_equal([buses[0], buses[2]], made)
 
 
-def test_fmus_that_are_not_compiled_ones_of_bristle_run_alone(base: str, scenario_file: Maker) -> None:
+def test_fmus_that_are_not_compiled_ones_of_bristle_run_alone(
+    base: str, scenario_file: Maker
+) -> None:
     loaded = load(scenario_file(base), [])
     with pytest.raises(BristleError, match="alone"):
         Together(prepare(loaded, find_fmus(loaded, kind="python")))
 
 
-def test_rows_of_a_sweep_are_the_same_in_lanes(base: str, scenario_file: Maker, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_a_sweep_are_the_same_in_lanes(
+    base: str, scenario_file: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two sensors in turn, an observer that diverges, and a run that cannot be made."""
     path = scenario_file(
-        base.replace('"2 s"', '"0.3 s"').replace("bastin_gevers", "besancon").replace("estimates.b.error_percent", "steps")
+        base.replace('"2 s"', '"0.3 s"')
+        .replace("bastin_gevers", "besancon")
+        .replace("estimates.b.error_percent", "steps")
     )
-    varied = ["observer.parameters.besancon.alpha2=[2 1/s, 1e6 1/s]", "plant.parameters.J=[0.001 kg.m2, 0.002 kg.m2]"]
+    varied = [
+        "observer.parameters.besancon.alpha2=[2 1/s, 1e6 1/s]",
+        "plant.parameters.J=[0.001 kg.m2, 0.002 kg.m2]",
+    ]
     asked = design([*varied, "sensor=[clean, encoder]"], seeds=[1, 2])
     sweep = prepare_sweep(path, asked, Options())
     points = list(asked.points())
@@ -131,4 +157,6 @@ def test_rows_of_a_sweep_are_the_same_in_lanes(base: str, scenario_file: Maker, 
 def test_few_runs_are_not_worth_the_programs(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base)
     for runs in (RUNS_WORTH_IT - 1, RUNS_WORTH_IT):
-        assert prepare_sweep(path, design((), seeds=range(1, runs + 1)), Options()).lanes == (runs >= RUNS_WORTH_IT)
+        assert prepare_sweep(path, design((), seeds=range(1, runs + 1)), Options()).lanes == (
+            runs >= RUNS_WORTH_IT
+        )

@@ -44,16 +44,24 @@ def scenario(base: str, fmu: Path, gain: float, variables: str = "") -> str:
     return base.replace(BUILT, f'fmu = "{fmu}"\n{variables}\n[plant.parameters]\ngain = {gain!r}')
 
 
-def test_names_and_units_of_its_own_give_the_same_run(own_names: Path, tiny_fmu: Maker, base: str, scenario_file: Maker) -> None:
-    """In mV and degrees with a gain to match, it is the same plant: exactly so but for the rounding of the factors."""
+def test_names_and_units_of_its_own_give_the_same_run(
+    own_names: Path, tiny_fmu: Maker, base: str, scenario_file: Maker
+) -> None:
+    """In mV and degrees with a gain to match, it is the same plant: exactly so but for the rounding
+    of the factors.
+    """
     traces = []
     gain = 6.0 * math.degrees(1.0) / 1000
-    for k, text in enumerate((scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, gain, MAP))):
+    for k, text in enumerate(
+        (scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, gain, MAP))
+    ):
         loaded = load(scenario_file(text, f"case{k}"))
         bus = identification(prepare(loaded, find_fmus(loaded)))
         native = simulate(bus)
         assert native.failure is None
-        np.testing.assert_allclose(simulate(bus, engine="fmpy").values, native.values, rtol=0, atol=0)
+        np.testing.assert_allclose(
+            simulate(bus, engine="fmpy").values, native.values, rtol=0, atol=0
+        )
         np.testing.assert_array_equal(simulate_isolated(bus).values, native.values)
         traces.append(native)
     assert np.ptp(traces[0]["plant", "v"]) > 0.1
@@ -62,10 +70,14 @@ def test_names_and_units_of_its_own_give_the_same_run(own_names: Path, tiny_fmu:
     assert set(traces[0].record) == set(traces[1].record)
 
 
-def test_a_name_alone_is_enough(own_names: Path, tiny_fmu: Maker, base: str, scenario_file: Maker) -> None:
+def test_a_name_alone_is_enough(
+    own_names: Path, tiny_fmu: Maker, base: str, scenario_file: Maker
+) -> None:
     names = '[plant.variables]\nu = "voltage"\ntheta = "pos"\nv = "speed"\n'
     values = []
-    for k, text in enumerate((scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, 6.0, names))):
+    for k, text in enumerate(
+        (scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, 6.0, names))
+    ):
         loaded = load(scenario_file(text, f"case{k}"))
         values.append(simulate(identification(prepare(loaded, find_fmus(loaded)))).values)
     np.testing.assert_array_equal(*values)
@@ -75,15 +87,26 @@ def test_a_name_alone_is_enough(own_names: Path, tiny_fmu: Maker, base: str, sce
     ("change", "words"),
     [
         (("u = {", "uu = {"), ["plant.variables.uu", "did you mean 'u'", "tau_load"]),
-        (('"voltage"', '"volt"'), ["plant.fmu", "no variable 'volt' for u", "did you mean 'voltage'"]),
+        (
+            ('"voltage"', '"volt"'),
+            ["plant.fmu", "no variable 'volt' for u", "did you mean 'voltage'"],
+        ),
         (('"mV"', '"rad"'), ["plant.variables.u"]),
         (('unit = "mV"', 'unti = "mV"'), ["plant.variables.u", "write { name"]),
         (('unit = "mV"', "scale = 0"), ["plant.variables.u", "other than 0"]),
-        (('u = { name = "voltage", unit = "mV" }\n', ""), ["no Real input 'u'", "voltage", "[plant.variables] u ="]),
+        (
+            ('u = { name = "voltage", unit = "mV" }\n', ""),
+            ["no Real input 'u'", "voltage", "[plant.variables] u ="],
+        ),
     ],
 )
 def test_a_wrong_map_is_one_line(
-    change: tuple[str, str], words: list[str], own_names: Path, base: str, scenario_file: Maker, message: Message
+    change: tuple[str, str],
+    words: list[str],
+    own_names: Path,
+    base: str,
+    scenario_file: Maker,
+    message: Message,
 ) -> None:
     assert change[0] in MAP
     path = scenario_file(scenario(base, own_names, 6.0, MAP.replace(*change)))
@@ -92,6 +115,10 @@ def test_a_wrong_map_is_one_line(
         assert word in line
 
 
-def test_a_built_plant_has_no_names_of_its_own(base: str, scenario_file: Maker, message: Message) -> None:
-    path = scenario_file(base.replace('law = "modified"\n', 'law = "modified"\nvariables = { u = "voltage" }\n'))
+def test_a_built_plant_has_no_names_of_its_own(
+    base: str, scenario_file: Maker, message: Message
+) -> None:
+    path = scenario_file(
+        base.replace('law = "modified"\n', 'law = "modified"\nvariables = { u = "voltage" }\n')
+    )
     assert "give plant.fmu" in message(lambda: find_fmus(load(path)))

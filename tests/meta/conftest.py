@@ -15,7 +15,9 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="session")
 def modules() -> dict[str, ModuleType]:
     """Every module of every package of the library, by name."""
-    setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "setuptools"
+    ]
     names = {
         package if path.stem == "__init__" else f"{package}.{path.stem}"
         for package in setuptools["packages"]

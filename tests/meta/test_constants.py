@@ -1,6 +1,7 @@
 """A constant has a name of its own: no two modules define the same name with different values.
 
-The friction laws and effects in plant/ and the observers are files that stand alone by design; they are left out.
+The friction laws and effects in plant/ and the observers are files that stand alone by design; they
+are left out.
 """
 
 import ast
@@ -13,7 +14,9 @@ LARGEST_FOLDER = 9  # modules of a folder of diagnosis/, besides __init__
 
 
 def constants(path):
-    """Return {name: expression} of the constants in capitals that a module defines; a name for another name is none."""
+    """Return {name: expression} of the constants in capitals that a module defines; a name for
+    another name is none.
+    """
     found = {}
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         pairs = []
@@ -29,7 +32,12 @@ def constants(path):
             pairs.append((node.target, node.value))
         for target, value in pairs:
             alias = isinstance(value, (ast.Name, ast.Attribute))
-            if isinstance(target, ast.Name) and target.id.lstrip("_").isupper() and len(target.id) > 2 and not alias:
+            if (
+                isinstance(target, ast.Name)
+                and target.id.lstrip("_").isupper()
+                and len(target.id) > 2
+                and not alias
+            ):
                 found[target.id] = ast.unparse(value)
     return found
 

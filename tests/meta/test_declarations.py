@@ -27,13 +27,20 @@ KEYS = [key for _, key, _ in ENTRIES]
 @cache
 def programs():
     """Return every program there is by name, and a servo with each effect."""
-    augmented = {name: servo_program("coulomb", effects=(name,)) for name in [*effects(), *SIGNAL_EFFECTS]}
+    augmented = {
+        name: servo_program("coulomb", effects=(name,)) for name in [*effects(), *SIGNAL_EFFECTS]
+    }
     return {"servo": servo_program(), **{name: servo_program(name) for name in laws()}, **augmented}
 
 
 def parameters():
     """Return every parameter of laws, servo, effects and observers by name."""
-    found = {p.name: p for program in programs().values() for a in program.variants for p in a.system.parameters.values()}
+    found = {
+        p.name: p
+        for program in programs().values()
+        for a in program.variants
+        for p in a.system.parameters.values()
+    }
     return found | {p.name: p for method in methods().values() for p in method.parameters}
 
 
@@ -47,9 +54,13 @@ def docstring_sources():
     pattern = re.compile(r"Source:(.*?)(?:\n\s*\n|\Z)", re.DOTALL)
     for path in files():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (text := ast.get_docstring(node)):
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (
+                text := ast.get_docstring(node)
+            ):
                 name = getattr(node, "name", "(file)")
-                found += [(path.relative_to(ROOT), name, source) for source in pattern.findall(text)]
+                found += [
+                    (path.relative_to(ROOT), name, source) for source in pattern.findall(text)
+                ]
     return found
 
 
@@ -107,10 +118,19 @@ def test_every_law_says_what_it_is_and_where_it_comes_from(name):
 @pytest.mark.parametrize("wording", [Wording(), Wording(linear=True, input_kind="force")])
 def test_the_texts_of_effects_have_no_open_placeholder_and_no_torque_on_a_linear_axis(wording):
     for effect in effects(wording).values():
-        texts = (effect.title, effect.description, effect.excitation, *(p.description for p in effect.parameters))
+        texts = (
+            effect.title,
+            effect.description,
+            effect.excitation,
+            *(p.description for p in effect.parameters),
+        )
         assert not any("{" in text for text in texts)
         if wording.linear:
-            assert not any(word in text for text in texts for word in ("torque", "voltage", "periods in a turn"))
+            assert not any(
+                word in text
+                for text in texts
+                for word in ("torque", "voltage", "periods in a turn")
+            )
 
 
 @pytest.mark.parametrize("name", list(effects()))
@@ -121,9 +141,17 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     assert 2 <= len(effect.title.split()) <= 5
     assert set(KEY.findall(effect.source)) & set(KEYS)
     slots = (
-        effect.command, effect.drive, effect.torque, effect.factor, effect.bound, effect.output, effect.coupling,
-        effect.bristles, effect.rates, effect.follow,
-    )  # fmt: skip
+        effect.command,
+        effect.drive,
+        effect.torque,
+        effect.factor,
+        effect.bound,
+        effect.output,
+        effect.coupling,
+        effect.bristles,
+        effect.rates,
+        effect.follow,
+    )
     assert any("Source:" in (slot.__doc__ or "") for slot in slots if slot)
 
 
@@ -145,6 +173,10 @@ def test_every_source_in_a_docstring_is_in_the_references():
 
 def test_no_key_in_the_code_is_unknown():
     """Also in strings and comments: what looks like a key is one."""
-    for path in [*files(), *sorted((ROOT / "tests").rglob("*.py")), *sorted((ROOT / "scenarios").glob("*.toml"))]:
+    for path in [
+        *files(),
+        *sorted((ROOT / "tests").rglob("*.py")),
+        *sorted((ROOT / "scenarios").glob("*.toml")),
+    ]:
         unknown = set(KEY.findall(path.read_text(encoding="utf-8"))) - set(KEYS)
         assert not unknown, f"{path.relative_to(ROOT)}: {unknown}"

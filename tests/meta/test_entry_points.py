@@ -1,4 +1,6 @@
-"""Laws, effects and observers of installed packages: found by name, checked, told by package where they are wrong."""
+"""Laws, effects and observers of installed packages: found by name, checked, told by package where
+they are wrong.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,11 @@ from bristle.plant.servo import servo_program
 
 TEMPLATES = Path(__file__).resolve().parents[2] / "cli" / "templates"
 GROUPS = {"law": "laws", "effect": "effects", "observer": "observers"}
-KNOWN = {"law": lambda: laws(packages=True), "effect": effects, "observer": lambda: methods(packages=True)}
+KNOWN = {
+    "law": lambda: laws(packages=True),
+    "effect": effects,
+    "observer": lambda: methods(packages=True),
+}
 SHIPPED = {"law": laws, "effect": lambda: effects(packages=False), "observer": methods}
 ASKED = {"law": law, "effect": effect, "observer": observer_program}
 KINDS = pytest.mark.parametrize("kind", list(GROUPS))
@@ -32,20 +38,32 @@ def forget():
 
 @pytest.fixture
 def package(monkeypatch, tmp_path):
-    """Return what installs a package of one module, from the template of its kind, changed; effects are read anew."""
+    """Return what installs a package of one module, from the template of its kind, changed; effects
+    are read anew.
+    """
     monkeypatch.syspath_prepend(str(tmp_path))
     made = []
 
-    def install(kind: str, name: str, old: str = "", new: str = "", entry: str = "", title: str = "") -> Path:
-        module, text = f"outside_{name}_{len(made)}", (TEMPLATES / f"{kind}.txt").read_text(encoding="utf-8").replace("$name", name)
+    def install(
+        kind: str, name: str, old: str = "", new: str = "", entry: str = "", title: str = ""
+    ) -> Path:
+        module, text = (
+            f"outside_{name}_{len(made)}",
+            (TEMPLATES / f"{kind}.txt").read_text(encoding="utf-8").replace("$name", name),
+        )
         assert old in text
         made.append(module)
         path = tmp_path / f"{module}.py"
         path.write_text(text.replace(old, new, 1) if old else text, encoding="utf-8")
         info = tmp_path / f"{title or 'my_' + name}-1.2.dist-info"
         info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {title or 'my_' + name}\nVersion: 1.2\n", encoding="utf-8")
-        (info / "entry_points.txt").write_text(f"[bristle.{GROUPS[kind]}]\n{entry or name} = {module}\n", encoding="utf-8")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {title or 'my_' + name}\nVersion: 1.2\n",
+            encoding="utf-8",
+        )
+        (info / "entry_points.txt").write_text(
+            f"[bristle.{GROUPS[kind]}]\n{entry or name} = {module}\n", encoding="utf-8"
+        )
         forget()
         return path
 
@@ -82,14 +100,29 @@ def test_an_entry_point_may_name_the_declaration_itself(package, tmp_path):
 
 
 BROKEN = [
-    ("law", "import casadi", "import no_such_module\nimport casadi", "ModuleNotFoundError: No module named 'no_such_module'"),
+    (
+        "law",
+        "import casadi",
+        "import no_such_module\nimport casadi",
+        "ModuleNotFoundError: No module named 'no_such_module'",
+    ),
     ("law", "import casadi", "raise SystemExit(3)\nimport casadi", "SystemExit: 3"),
     ("law", "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
     ("law", '"N.m", 0.004', '"mN.m", 0.004', "unit 'mN.m' is 0.001 of the SI unit"),
-    ("law", '    "outside",', '    "inside",', "declares 'inside', its entry point is called 'outside'"),
+    (
+        "law",
+        '    "outside",',
+        '    "inside",',
+        "declares 'inside', its entry point is called 'outside'",
+    ),
     ("effect", '"v",)', '"velocity",)', "residual: 'velocity' is no view"),
     ("effect", '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
-    ("observer", '"ljung1999 section 11.2",\n    "y_v"', '"my rig",\n    "y_v"', "source 'my rig': names no key"),
+    (
+        "observer",
+        '"ljung1999 section 11.2",\n    "y_v"',
+        '"my rig",\n    "y_v"',
+        "source 'my rig': names no key",
+    ),
 ]
 
 
@@ -108,7 +141,9 @@ def test_a_broken_package_is_named_and_stops_nothing_else(package, message, capl
     assert ASKED[kind](before[0]) is not None
 
 
-@pytest.mark.parametrize(("kind", "taken"), [("law", "dahl"), ("effect", "bias"), ("observer", "rls")])
+@pytest.mark.parametrize(
+    ("kind", "taken"), [("law", "dahl"), ("effect", "bias"), ("observer", "rls")]
+)
 def test_a_name_that_bristle_has_is_refused_and_bristle_keeps_it(package, caplog, kind, taken):
     before = list(SHIPPED[kind]())
     package(kind, taken)
@@ -125,7 +160,9 @@ def test_two_packages_with_one_name_are_both_named(package, message):
     package("law", "outside")
     package("law", "outside", title="other")
     text = message(lambda: law("outside"))
-    assert text.startswith("package my_outside 1.2 and package other 1.2: both offer bristle.laws 'outside'")
+    assert text.startswith(
+        "package my_outside 1.2 and package other 1.2: both offer bristle.laws 'outside'"
+    )
 
 
 def test_an_error_in_equations_names_package_and_line(package, message):
@@ -137,7 +174,10 @@ def test_an_error_in_equations_names_package_and_line(package, message):
 
 def test_the_key_of_an_fmu_depends_on_the_code_of_the_package(package):
     path = package("effect", "outside")
-    first, plain = obtain("plant", law="viscous", effects=("outside",)), obtain("plant", law="viscous")
+    first, plain = (
+        obtain("plant", law="viscous", effects=("outside",)),
+        obtain("plant", law="viscous"),
+    )
     path.write_text(path.read_text(encoding="utf-8") + "\n# another one\n", encoding="utf-8")
     assert obtain("plant", law="viscous", effects=("outside",)) != first
     assert obtain("plant", law="viscous") == plain
@@ -162,5 +202,7 @@ def test_all_files_of_a_package_count_and_nothing_is_imported(package, tmp_path)
 def test_a_package_may_have_references_of_its_own(package, tmp_path):
     key = f"armstrong{1997}"
     package("law", "outside", '"armstrong1994 (Lorentzian form)"', f'"{key}"')
-    (tmp_path / "references.bib").write_text(f"@misc{{{key},\n  title = {{A rig}},\n}}\n", encoding="utf-8")
+    (tmp_path / "references.bib").write_text(
+        f"@misc{{{key},\n  title = {{A rig}},\n}}\n", encoding="utf-8"
+    )
     assert law("outside").source == key

@@ -12,18 +12,23 @@ from bristle.common.errors import BristleError, SimulationError
 from bristle.fmus.controller.definition import program
 from bristle.fmus.python_fmu import python_files
 
-IN_FMUS = {"bristle.model.runtime.CoreError", "bristle.fmus.slave.RefusedError"}  # copied into FMUs, without the library
+# copied into FMUs, without the library
+IN_FMUS = {"bristle.model.runtime.CoreError", "bristle.fmus.slave.RefusedError"}
 LINE = re.compile(r"^[\s│├└─]*([A-Z]\w+)", re.MULTILINE)
 
 
 @pytest.fixture
 def exceptions(modules):
-    """Every exception class that a module of the library defines, except what never leaves its module."""
+    """Every exception class that a module of the library defines, except what never leaves its
+    module.
+    """
     return {
         f"{each.__module__}.{name}": each
         for module in modules.values()
         for name, each in inspect.getmembers(module, inspect.isclass)
-        if issubclass(each, BaseException) and each.__module__ == module.__name__ and not name.startswith("_")
+        if issubclass(each, BaseException)
+        and each.__module__ == module.__name__
+        and not name.startswith("_")
     }
 
 
@@ -42,7 +47,11 @@ def drawn():
 
 def test_every_exception_is_a_bristle_error(exceptions):
     assert len(exceptions) >= 7
-    strangers = {name for name, each in exceptions.items() if issubclass(each, Exception) and not issubclass(each, BristleError)}
+    strangers = {
+        name
+        for name, each in exceptions.items()
+        if issubclass(each, Exception) and not issubclass(each, BristleError)
+    }
     assert strangers == IN_FMUS
 
 
@@ -56,8 +65,12 @@ def test_the_tree_is_drawn_as_it_is(exceptions):
 
 
 def test_the_exceptions_of_an_fmu_are_those_of_the_modules_that_are_copied_into_it():
-    copied = b"".join(content for name, content in python_files(program()).items() if "_parts/" in name).decode()
-    assert set(re.findall(r"^class (\w+Error)\(", copied, re.MULTILINE)) == {name.split(".")[-1] for name in IN_FMUS}
+    copied = b"".join(
+        content for name, content in python_files(program()).items() if "_parts/" in name
+    ).decode()
+    assert set(re.findall(r"^class (\w+Error)\(", copied, re.MULTILINE)) == {
+        name.split(".")[-1] for name in IN_FMUS
+    }
 
 
 def test_an_error_passes_between_processes(exceptions):

@@ -1,4 +1,6 @@
-"""A law, an effect, an observer and a scenario are each one file: those of docs/extending.md, added in two ways."""
+"""A law, an effect, an observer and a scenario are each one file: those of docs/extending.md, added
+in two ways.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,12 @@ PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
 CONSOLES = re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 ADDED = ("lorentzian", "cubic_damper", "projection")
-FOLDERS = {"laws": "plant/friction", "effects": "plant/effects", "observers": "observer", "scenarios": "scenarios"}
+FOLDERS = {
+    "laws": "plant/friction",
+    "effects": "plant/effects",
+    "observers": "observer",
+    "scenarios": "scenarios",
+}
 SECONDS = re.compile(r" *\d+\.\d s")
 
 
@@ -69,7 +76,9 @@ def test_the_page_adds_one_file_of_each_kind():
 
 @pytest.mark.slow
 def test_every_command_of_the_page_prints_what_it_shows(written):
-    """Found, built as an FMU, run in a scenario, and named by a diagnosis: without a change of the installed package."""
+    """Found, built as an FMU, run in a scenario, and named by a diagnosis: without a change of the
+    installed package.
+    """
     ran = 0
     for command, shown in (each for block in CONSOLES for each in commands(block)):
         if not command.startswith("scripts/test"):
@@ -83,7 +92,10 @@ PROPERTIES = (
     ("tests/plant/test_effects.py", "cubic_damper or lorentzian or shipped or pairs or one_class"),
     ("tests/plant/test_friction_laws.py tests/plant/test_servo.py", "lorentzian or every_file"),
     ("tests/observer/test_methods.py", "projection"),
-    ("tests/model/test_agreement.py tests/model/test_arrays.py", "lorentzian or cubic_damper or projection"),
+    (
+        "tests/model/test_agreement.py tests/model/test_arrays.py",
+        "lorentzian or cubic_damper or projection",
+    ),
     ("tests/meta/test_declarations.py tests/meta/test_generated_docs.py", ""),
 )
 
@@ -91,19 +103,27 @@ PROPERTIES = (
 @pytest.mark.slow
 @pytest.mark.parametrize(("files", "wanted"), PROPERTIES)
 def test_the_tests_of_the_catalogue_pass_with_the_files(written, files, wanted):
-    command = f"python -m pytest -q -n 0 -p no:cacheprovider {files}" + (f" -k '{wanted}'" if wanted else "")
+    command = f"python -m pytest -q -n 0 -p no:cacheprovider {files}" + (
+        f" -k '{wanted}'" if wanted else ""
+    )
     printed = shell(command, ROOT, **{PLUGINS_VARIABLE: str(written / "my_models")})
     assert re.search(r"\d+ passed|100%", printed), printed
 
 
 @pytest.fixture(scope="module")
 def copied(written: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A copy of the source tree with the files in its own folders, and a folder from which it imports as bristle."""
+    """A copy of the source tree with the files in its own folders, and a folder from which it
+    imports as bristle.
+    """
     tree, site = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("site")
-    packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-dir"]
+    packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "setuptools"
+    ]["package-dir"]
     rooms = {folder.split("/")[0] for folder in packages.values()} | {"tests", "docs"}
     for room in sorted(rooms):
-        shutil.copytree(ROOT / room, tree / room, ignore=shutil.ignore_patterns("__pycache__", "hidden"))
+        shutil.copytree(
+            ROOT / room, tree / room, ignore=shutil.ignore_patterns("__pycache__", "hidden")
+        )
     for name in ("pyproject.toml", "references.bib", "README.md"):
         shutil.copy(ROOT / name, tree)
     for name in FILES:
@@ -112,7 +132,9 @@ def copied(written: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     shutil.copytree(tree / "package", site / "bristle")
     for package, folder in packages.items():
         if package.count(".") == 1:
-            (site / "bristle" / package.split(".")[1]).symlink_to(tree / folder, target_is_directory=True)
+            (site / "bristle" / package.split(".")[1]).symlink_to(
+                tree / folder, target_is_directory=True
+            )
     return tree, site
 
 
@@ -121,10 +143,20 @@ def test_files_in_the_source_tree_count_and_fail_no_test(copied):
     tree, site = copied
     known = shell("bristle list", tree, PYTHONPATH=str(site))
     assert all(f"  {name} " in known for name in ADDED)
-    tests = "tests/meta/test_declarations.py tests/meta/test_generated_docs.py tests/plant tests/observer/test_methods.py"
-    wanted = "page or shipped or every_file or every_law or every_effect or every_method or (declared and not output) or source"
+    tests = (
+        "tests/meta/test_declarations.py tests/meta/test_generated_docs.py tests/plant"
+        " tests/observer/test_methods.py"
+    )
+    wanted = (
+        "page or shipped or every_file or every_law or every_effect or every_method or (declared"
+        " and not output) or source"
+    )
     wanted += " or projection"  # properties of one observer depend on no other
-    printed = shell(f"python -m pytest -q -n 0 -p no:cacheprovider {tests} -k '{wanted}'", tree, PYTHONPATH=str(site))
+    printed = shell(
+        f"python -m pytest -q -n 0 -p no:cacheprovider {tests} -k '{wanted}'",
+        tree,
+        PYTHONPATH=str(site),
+    )
     assert "100%" in printed
 
 
@@ -144,7 +176,9 @@ def test_a_file_that_does_not_load_is_refused_with_its_name(monkeypatch, tmp_pat
 
 
 def test_a_scenario_takes_the_fmu_of_a_plugin_alone(written, monkeypatch):
-    """The observers that are shipped take a minute to compile, and would again with each change of the file."""
+    """The observers that are shipped take a minute to compile, and would again with each change of
+    the file.
+    """
     monkeypatch.setenv(PLUGINS_VARIABLE, str(written / "my_models"))
     fmus = find_fmus(load(written / "my_models" / "scenarios" / "lorentzian.toml"))
     assert "projection" in fmus["observer"].path.name
@@ -159,7 +193,9 @@ KINDS_OF_FILE = pytest.mark.parametrize("file", [LAW, EFFECT, METHOD])
 
 @pytest.fixture
 def plugin(monkeypatch, tmp_path):
-    """Return what writes a file of the page into a plug-in folder, changed, and returns its path; effects are read anew."""
+    """Return what writes a file of the page into a plug-in folder, changed, and returns its path;
+    effects are read anew.
+    """
     monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path))
 
     def write(file: str, old: str, new: str, name: str = "") -> Path:
@@ -188,29 +224,76 @@ MISTAKES = [
     (LAW, '"N.m", 0.004', '"N.q", 0.004', "'q' is not known"),
     (LAW, '"N.m", 0.004', "None, 0.004", "LAW is malformed: AttributeError"),
     (LAW, "0.004, 1e-9", "0.004, 1e-2", "default 0.004 is outside [0.01, 1e+06] N.m"),
-    (LAW, '"armstrong1994 (L', f'"{UNKNOWN_KEY} (L', f"'{UNKNOWN_KEY}' is no key (did you mean 'armstrong1994'?)"),
-    (LAW, 'friction", "armstrong1994"', 'friction", "my rig"', "parameter 'lorentzian.Fc': source 'my rig': names no key"),
+    (
+        LAW,
+        '"armstrong1994 (L',
+        f'"{UNKNOWN_KEY} (L',
+        f"'{UNKNOWN_KEY}' is no key (did you mean 'armstrong1994'?)",
+    ),
+    (
+        LAW,
+        'friction", "armstrong1994"',
+        'friction", "my rig"',
+        "parameter 'lorentzian.Fc': source 'my rig': names no key",
+    ),
     (LAW, '"lorentzian.Fc", "Fc"', '"Fc", "Fc"', "parameter 'Fc' must be called 'lorentzian.…'"),
-    (LAW, '    "lorentzian",', '    "Lorentz law",', "name 'Lorentz law': write lower-case letters"),
+    (
+        LAW,
+        '    "lorentzian",',
+        '    "Lorentz law",',
+        "name 'Lorentz law': write lower-case letters",
+    ),
     (LAW, "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
     (LAW, "LAW =", "LAW = 3\nOTHER =", "no LAW that is a FrictionLaw"),
-    (EFFECT, 'off={"coefficient"', 'off={"coefficent"', "off: 'coefficent' is no parameter of the effect (did you mean"),
-    (EFFECT, "    load_side", '    periods="turns",\n    load_side', "periods or free_play: 'turns' is no parameter"),
-    (EFFECT, '    "cubic_damper",', '    "cubic-damper",', "name 'cubic-damper': write lower-case letters"),
+    (
+        EFFECT,
+        'off={"coefficient"',
+        'off={"coefficent"',
+        "off: 'coefficent' is no parameter of the effect (did you mean",
+    ),
+    (
+        EFFECT,
+        "    load_side",
+        '    periods="turns",\n    load_side',
+        "periods or free_play: 'turns' is no parameter",
+    ),
+    (
+        EFFECT,
+        '    "cubic_damper",',
+        '    "cubic-damper",',
+        "name 'cubic-damper': write lower-case letters",
+    ),
     (EFFECT, '"v",)', '"velocity",)', "residual: 'velocity' is no view"),
-    (EFFECT, '"stribeck")', '"stribek")', "confounded: 'stribek' is no effect (did you mean 'stribeck'?)"),
+    (
+        EFFECT,
+        '"stribeck")',
+        '"stribek")',
+        "confounded: 'stribek' is no effect (did you mean 'stribeck'?)",
+    ),
     (EFFECT, 'group="cubic_damper"', 'group="bias"', "group 'bias' lacks 'cubic_damper'"),
-    (EFFECT, "    load_side", '    without_truth=("alpha",),\n    load_side', "without_truth: 'alpha' is no normalised parameter"),
+    (
+        EFFECT,
+        "    load_side",
+        '    without_truth=("alpha",),\n    load_side',
+        "without_truth: 'alpha' is no normalised parameter",
+    ),
     (EFFECT, '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
     (EFFECT, '"N.m.s3/rad3"', '"Nm"', "did you mean 'N.m'?"),
     (METHOD, '"rad/s", 1.5', '"rads", 1.5', "parameter 'projection.vc': unit 'rads'"),
-    (METHOD, '"ljung1999 section 11.2",\n    "y_v"', '"ljung section 11.2",\n    "y_v"', "names no key"),
+    (
+        METHOD,
+        '"ljung1999 section 11.2",\n    "y_v"',
+        '"ljung section 11.2",\n    "y_v"',
+        "names no key",
+    ),
     (METHOD, 'State("v", "rad/s"', 'State("v", "rad/h"', "state 'v': unit 'rad/h'"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("file", "old", "new", "words"), MISTAKES)
-def test_a_mistake_in_a_declaration_is_told_with_the_file_when_it_is_loaded(plugin, message, file, old, new, words):
+def test_a_mistake_in_a_declaration_is_told_with_the_file_when_it_is_loaded(
+    plugin, message, file, old, new, words
+):
     path = plugin(file, old, new)
     text = message(DECLARED[file.split("/")[0]])
     assert text.startswith(f"{path}: ")
@@ -219,7 +302,9 @@ def test_a_mistake_in_a_declaration_is_told_with_the_file_when_it_is_loaded(plug
 
 @pytest.mark.parametrize("name", ["", "aaa", "zzz"])
 @pytest.mark.parametrize(("file", "shipped"), [(LAW, "dahl"), (EFFECT, "bias"), (METHOD, "rls")])
-def test_a_plugin_called_like_something_shipped_is_the_one_to_blame(plugin, message, file, shipped, name):
+def test_a_plugin_called_like_something_shipped_is_the_one_to_blame(
+    plugin, message, file, shipped, name
+):
     """Whatever the order of the two files."""
     path = plugin(file, f'    "{Path(file).stem}",', f'    "{shipped}",', name or shipped)
     text = message(DECLARED[file.split("/")[0]])
@@ -230,7 +315,9 @@ def test_a_plugin_called_like_something_shipped_is_the_one_to_blame(plugin, mess
 
 def test_a_folder_may_have_its_own_references(plugin, tmp_path):
     plugin(LAW, '"armstrong1994 (L', f'"{UNKNOWN_KEY} (L')
-    (tmp_path / "references.bib").write_text(f"@misc{{{UNKNOWN_KEY},\n  title = {{A rig}},\n}}\n", encoding="utf-8")
+    (tmp_path / "references.bib").write_text(
+        f"@misc{{{UNKNOWN_KEY},\n  title = {{A rig}},\n}}\n", encoding="utf-8"
+    )
     assert laws()["lorentzian"].source.startswith(UNKNOWN_KEY)
 
 
@@ -245,7 +332,12 @@ EQUATIONS = [
     (LAW, "force=ca.SX(0)", 'force=ca.SX(0), rates={"z": v}', "'z' needs both a state and a rate"),
     (EFFECT, "return ca.SX(-c.p", "return (1 / 0) * ca.SX(-c.p", "line 16: ZeroDivisionError"),
     (EFFECT, "return ca.SX(-c.p", "return None and ca.SX(-c.p", "TypeError: "),
-    (METHOD, "def adapt(", "def adapt(*_):\n    raise ValueError('two\\nlines')\n\n\ndef unused(", "ValueError: two lines"),
+    (
+        METHOD,
+        "def adapt(",
+        "def adapt(*_):\n    raise ValueError('two\\nlines')\n\n\ndef unused(",
+        "ValueError: two lines",
+    ),
     (METHOD, "return Update(", "return (", "AttributeError: 'tuple' object"),
 ]
 
@@ -261,7 +353,9 @@ def test_an_error_in_equations_is_told_with_the_file(plugin, message, file, old,
 
 def test_parts_that_do_not_fit_blame_no_file(plugin, message):
     plugin(EFFECT, "", "")
-    assert message(lambda: servo_program("viscous", effects=("cubic_damper", "stribeck"))).startswith("effect 'stribeck'")
+    assert message(
+        lambda: servo_program("viscous", effects=("cubic_damper", "stribeck"))
+    ).startswith("effect 'stribeck'")
 
 
 def test_a_scenario_that_is_no_toml_is_told_with_its_file(plugin, message):

@@ -9,7 +9,11 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[2]
-PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)(?: ; [^\\]+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", re.MULTILINE)
+PIN = re.compile(
+    r"^([A-Za-z0-9._-]+)==([^ ;\\]+)(?: ; [^\\]+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?:"
+    r" \\)?\n)+)",
+    re.MULTILINE,
+)
 EXTRAS = ("docs", "dev")  # what is installed for development, besides the dependencies
 
 
@@ -19,8 +23,12 @@ def test_the_lock_file_pins_every_dependency_with_hashes():
     pinned = {}
     for name, version, _hashes in PIN.findall(text):
         pinned.setdefault(canonicalize_name(name), []).append(Version(version))
-    assert sum(map(len, pinned.values())) == len(re.findall(r"^[A-Za-z0-9]", text, re.MULTILINE))  # nothing is without hashes
-    named = [*project["dependencies"], *(each for extra in EXTRAS for each in project["optional-dependencies"][extra])]
+    # nothing is without hashes
+    assert sum(map(len, pinned.values())) == len(re.findall(r"^[A-Za-z0-9]", text, re.MULTILINE))
+    named = [
+        *project["dependencies"],
+        *(each for extra in EXTRAS for each in project["optional-dependencies"][extra]),
+    ]
     needed = [each for each in map(Requirement, named) if each.name != project["name"]]
     assert len(needed) > 20
     for each in needed:

@@ -1,4 +1,6 @@
-"""The house: imports run downwards, packages are typed, and the wheel holds all of it and nothing else."""
+"""The house: imports run downwards, packages are typed, and the wheel holds all of it and nothing
+else.
+"""
 
 import ast
 import importlib
@@ -51,9 +53,13 @@ def test_imports_run_downwards(room):
     assert files
     for path in files:
         for module in imports(path):
-            assert module.split(".")[0] not in ALLOWED, f"{path.relative_to(ROOT)} imports {module}; write bristle.{module}"
+            assert module.split(".")[0] not in ALLOWED, (
+                f"{path.relative_to(ROOT)} imports {module}; write bristle.{module}"
+            )
             if module.startswith("bristle."):
-                assert module.split(".")[1] in ALLOWED[room], f"{path.relative_to(ROOT)} imports {module}"
+                assert module.split(".")[1] in ALLOWED[room], (
+                    f"{path.relative_to(ROOT)} imports {module}"
+                )
                 if room == "harness" and module.split(".")[1] == "model":
                     assert module in HARNESS_MODEL, f"{path.relative_to(ROOT)} imports {module}"
 
@@ -68,7 +74,11 @@ def test_every_package_is_there_and_typed(package):
 
 
 def test_no_folder_with_code_is_forgotten():
-    folders = {str(path.parent.relative_to(ROOT)) for room in ALLOWED for path in (ROOT / room).rglob("__init__.py")}
+    folders = {
+        str(path.parent.relative_to(ROOT))
+        for room in ALLOWED
+        for path in (ROOT / room).rglob("__init__.py")
+    }
     assert folders == {FOLDERS[p] for p in PACKAGES} - {"package", "scenarios"}
 
 
@@ -85,7 +95,18 @@ def wheel(tmp_path_factory):
             shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy(path, source / name)
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--quiet", "-w", str(folder), str(source)]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--quiet",
+        "-w",
+        str(folder),
+        str(source),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     [built] = folder.glob("bristle-*.whl")
@@ -93,16 +114,28 @@ def wheel(tmp_path_factory):
 
 
 def test_the_wheel_holds_every_file_of_every_room(wheel):
-    """Modules, C templates, readmes, style sheets, scenarios: what is in a room's folder is in the wheel."""
+    """Modules, C templates, readmes, style sheets, scenarios: what is in a room's folder is in the
+    wheel.
+    """
     names = set(zipfile.ZipFile(wheel).namelist())
     expected = set()
     for room in [*ALLOWED, "scenarios"]:
         for path in (ROOT / room).rglob("*"):
-            kept_out = "__pycache__" in path.parts or path.name.startswith(".") or TEST_DATA & {*path.parents}
+            kept_out = (
+                "__pycache__" in path.parts
+                or path.name.startswith(".")
+                or TEST_DATA & {*path.parents}
+            )
             if path.is_file() and not kept_out:
                 expected.add(f"bristle/{path.relative_to(ROOT).as_posix()}")
-    assert {"bristle/model/c/core.c", "bristle/model/c/core.h", "bristle/model/c/batch.c"} <= expected
-    assert expected <= names, f"missing in the wheel, list them in pyproject.toml: {sorted(expected - names)}"
+    assert {
+        "bristle/model/c/core.c",
+        "bristle/model/c/core.h",
+        "bristle/model/c/batch.c",
+    } <= expected
+    assert expected <= names, (
+        f"missing in the wheel, list them in pyproject.toml: {sorted(expected - names)}"
+    )
 
 
 def test_the_wheel_holds_nothing_else(wheel):
@@ -113,20 +146,27 @@ def test_the_wheel_holds_nothing_else(wheel):
 
 
 def test_every_module_of_the_wheel_imports_from_the_wheel(wheel, tmp_path):
-    """A fresh interpreter that does not know the checkout imports each module out of the unpacked wheel."""
+    """A fresh interpreter that does not know the checkout imports each module out of the unpacked
+    wheel.
+    """
     zipfile.ZipFile(wheel).extractall(tmp_path)
     modules = [
-        path.relative_to(tmp_path).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
+        path.relative_to(tmp_path)
+        .with_suffix("")
+        .as_posix()
+        .replace("/", ".")
+        .removesuffix(".__init__")
         for path in (tmp_path / "bristle").rglob("*.py")
     ]
     assert len(modules) > 30
     code = f"""
-import importlib, sys
-sys.meta_path[:] = [f for f in sys.meta_path if "__editable__" not in getattr(f, "__module__", "") + repr(f)]
-sys.path.insert(0, {str(tmp_path)!r})
-for name in {sorted(modules)!r}:
+import importlib, sys sys.meta_path[:] = [f for f in sys.meta_path if "__editable__" not in
+getattr(f, "__module__", "") + repr(f)] sys.path.insert(0, {str(tmp_path)!r}) for name in
+{sorted(modules)!r}:
     module = importlib.import_module(name)
     assert module.__file__.startswith({str(tmp_path)!r}), module.__file__
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr

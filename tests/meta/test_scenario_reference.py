@@ -1,4 +1,6 @@
-"""docs/scenario_reference.md lists every key of a scenario, every check quantity and every stimulus that the classes have."""
+"""docs/scenario_reference.md lists every key of a scenario, every check quantity and every stimulus
+that the classes have.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,21 @@ from bristle.harness.plan import BUS_PORTS, FREE_INPUTS
 from bristle.harness.scenario import Scenario
 from bristle.model.normalised import OBSERVED
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "scenario_reference.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "scenario_reference.md").read_text(
+    encoding="utf-8"
+)
 SCHEMA = Scenario.model_json_schema()
 
 
 def sections(page: str) -> dict[str, list[str]]:
-    """Return what stands in the first column of the tables of a page, by the heading above, without marks."""
+    """Return what stands in the first column of the tables of a page, by the heading above, without
+    marks.
+    """
     parts = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
     return {
-        part.partition("\n")[0].strip("`[]"): re.findall(r"^\| `([^`]+)` \|", part.partition("\n")[2], re.MULTILINE)
+        part.partition("\n")[0].strip("`[]"): re.findall(
+            r"^\| `([^`]+)` \|", part.partition("\n")[2], re.MULTILINE
+        )
         for part in parts
     }
 
@@ -41,9 +49,16 @@ def missing(page: str) -> set[str]:
     wanted = {path or "Top level": keys for path, keys in tables(SCHEMA).items()}
     wanted["Stimuli"] = [name for names in FREE_INPUTS.values() for name in names]
     wanted["Check quantities"] = [*CHECK_QUANTITIES, *OBSERVED, *STATES]
-    wanted["Signals of the bus"] = [name for sides in BUS_PORTS.values() for ports in sides.values() for name in ports]
+    wanted["Signals of the bus"] = [
+        name for sides in BUS_PORTS.values() for ports in sides.values() for name in ports
+    ]
     assert len(wanted) >= 16
-    return {f"{path}: {key}" for path, keys in wanted.items() for key in keys if key not in listed.get(path, [])}
+    return {
+        f"{path}: {key}"
+        for path, keys in wanted.items()
+        for key in keys
+        if key not in listed.get(path, [])
+    }
 
 
 def test_nothing_is_missing():
@@ -53,15 +68,25 @@ def test_nothing_is_missing():
 @pytest.mark.parametrize(
     "what",
     [
-        "record.velocity: unit", "stimuli.sine: phase", "Top level: controller_sensor", "checks: max_abs", "Stimuli: u_ff",
-        "Check quantities: estimates.PARAMETER.settling_s", "Check quantities: alpha2", "validation: baselines",
+        "record.velocity: unit",
+        "stimuli.sine: phase",
+        "Top level: controller_sensor",
+        "checks: max_abs",
+        "Stimuli: u_ff",
+        "Check quantities: estimates.PARAMETER.settling_s",
+        "Check quantities: alpha2",
+        "validation: baselines",
     ],
-)  # fmt: skip
+)
 def test_what_is_left_out_is_noticed(what):
     """Each row counts, and only under its own heading."""
     heading, key = what.split(": ")
     before, mark, rest = PAGE.partition(
-        next(line for line in PAGE.splitlines() if line.startswith("## ") and heading == line[3:].strip("`[]"))
+        next(
+            line
+            for line in PAGE.splitlines()
+            if line.startswith("## ") and heading == line[3:].strip("`[]")
+        )
     )
     row = re.search(rf"^\| `{re.escape(key)}` \|.*\n", rest, re.MULTILINE)
     assert row is not None

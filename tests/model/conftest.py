@@ -1,4 +1,6 @@
-"""What the integrator's tests share: the independent references, and our plants driven by the same feedback."""
+"""What the integrator's tests share: the independent references, and our plants driven by the same
+feedback.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,19 @@ def program() -> Callable[[str], Program]:
 
 @pytest.fixture(scope="session")
 def closed_loop(program):
-    """Return a function that simulates a plant under a feedback computed at each step: states at 0..n."""
+    """Return a function that simulates a plant under a feedback computed at each step: states at
+    0..n.
+    """
 
     def run(plant, feedback, n, h=1e-3, **parameters):
         servo = program(plant.law)
-        native = Native(servo, plant.parameters | {f"solver.{k}": value for k, value in parameters.items()})
-        states = [servo.index[name] for name in (f"{plant.law}.theta", f"{plant.law}.v", plant.friction_state)]
+        native = Native(
+            servo, plant.parameters | {f"solver.{k}": value for k, value in parameters.items()}
+        )
+        states = [
+            servo.index[name]
+            for name in (f"{plant.law}.theta", f"{plant.law}.v", plant.friction_state)
+        ]
         u = servo.index["u"]
         x = np.zeros((n + 1, 3))
         v = native.values

@@ -1,4 +1,6 @@
-"""The smooth plants against LSODA at 1e-12 restarted at every input change, and where explicit RK4 fails."""
+"""The smooth plants against LSODA at 1e-12 restarted at every input change, and where explicit RK4
+fails.
+"""
 
 import numpy as np
 import pytest
@@ -50,12 +52,20 @@ def test_the_reference_agrees_with_radau(reference, name):
     x = np.zeros(3)
     scale = np.ptp(expected, axis=0)
     for k in range(n):
-        done = solve_ivp(plant.rhs, (0.0, 1e-3), x, "Radau", args=(plant.gain * u[k],), rtol=1e-10, atol=1e-12 * scale)
+        done = solve_ivp(
+            plant.rhs,
+            (0.0, 1e-3),
+            x,
+            "Radau",
+            args=(plant.gain * u[k],),
+            rtol=1e-10,
+            atol=1e-12 * scale,
+        )
         x = done.y[:, -1]
     assert np.all(np.abs(x - expected[-1]) <= 2e-8 * scale)
 
 
-# -- explicit Runge-Kutta --------------------------------------------------------------------------------------------
+# -- explicit Runge-Kutta --------------------------------------------------------------------------
 
 
 def end_speeds(reference, closed_loop, name, volts, seconds):
@@ -76,7 +86,9 @@ def end_speeds(reference, closed_loop, name, volts, seconds):
         ("S", 6.0, 5.0, "right"),
     ],
 )
-def test_explicit_rk4_fails_where_the_bristle_is_stiff(reference, closed_loop, name, volts, seconds, verdict):
+def test_explicit_rk4_fails_where_the_bristle_is_stiff(
+    reference, closed_loop, name, volts, seconds, verdict
+):
     ours, explicit, tight = end_speeds(reference, closed_loop, name, volts, seconds)
     assert ours == pytest.approx(tight, rel=1e-7)
     if verdict == "wrong":  # and finite, without any sign of it

@@ -15,7 +15,8 @@ from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
 
 LENGTH = 20_000
-# CasADi needs about 30 us a function call: fewer internal steps keep the test short and change nothing it is about.
+# CasADi needs about 30 us a function call: fewer internal steps keep the test short and change
+# nothing it is about.
 PARAMETERS = {"solver.tolerance": 1e-6, "solver.friction_step": 5e-4}
 
 
@@ -63,7 +64,9 @@ def test_three_arithmetics_agree_over_20_seconds(name):
     native = Native(program, parameters)
     c, _ = native.run(1e-3, inputs, record)
     python, python_steps = in_python(program, python_tables(program), inputs, record, parameters)
-    symbolic, symbolic_steps = in_python(program, casadi_tables(program), inputs, record, parameters)
+    symbolic, symbolic_steps = in_python(
+        program, casadi_tables(program), inputs, record, parameters
+    )
     size = np.max(np.abs(c), axis=0)
     assert np.all(size > 0.0)  # every signal takes part
     assert np.sum(np.diff(np.sign(c[:, record.index("v")])) != 0) > 20
@@ -76,7 +79,9 @@ def test_the_selected_law_in_the_large_program_equals_the_lean_one():
     whole, u = servo_program(), voltages(3.0, seed=5)[:2000]
     for name in laws():
         lean, _ = Native(servo_program(name)).run(1e-3, {"u": u}, ["theta", "v", "F", "theta_enc"])
-        chosen, _ = Native(whole, variant=name).run(1e-3, {"u": u}, ["theta", "v", "F", "theta_enc"])
+        chosen, _ = Native(whole, variant=name).run(
+            1e-3, {"u": u}, ["theta", "v", "F", "theta_enc"]
+        )
         np.testing.assert_array_equal(lean, chosen)
 
 
@@ -107,7 +112,9 @@ def test_a_snapshot_continues_to_the_last_bit():
 
 def test_the_generated_module_imports_nothing_but_math():
     text = python_source(servo_program())
-    assert [line for line in text.splitlines() if line.strip().startswith(("import", "from"))] == ["import math"]
+    assert [line for line in text.splitlines() if line.strip().startswith(("import", "from"))] == [
+        "import math"
+    ]
 
 
 def test_an_overflow_is_an_error_in_both_languages():

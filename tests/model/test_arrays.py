@@ -23,21 +23,47 @@ def test_every_law_and_effect_gives_what_casadi_gives(law, added):
     rng = np.random.default_rng(1)
     start = np.array([program.starts[i] for i in kernel.reads])[:, None]
     shape = (len(start), POINTS)
-    given = np.vstack([start * rng.uniform(0.5, 2.0, shape) + rng.normal(0, 0.3, shape), np.full(POINTS, 1e-3)])
+    given = np.vstack(
+        [start * rng.uniform(0.5, 2.0, shape) + rng.normal(0, 0.3, shape), np.full(POINTS, 1e-3)]
+    )
     outputs = for_arrays(whole)(list(given))
     expected = np.column_stack([np.asarray(whole(given[:, k])).ravel() for k in range(POINTS)])
     assert np.isfinite(expected).mean() > 0.5
     for row, want in zip(outputs, expected, strict=True):
-        np.testing.assert_allclose(np.broadcast_to(row, POINTS), want, rtol=1e-9, atol=1e-12, equal_nan=True)
+        np.testing.assert_allclose(
+            np.broadcast_to(row, POINTS), want, rtol=1e-9, atol=1e-12, equal_nan=True
+        )
 
 
 OPERATIONS = {
-    "comparisons": lambda x, y: [x < y, x <= y, x == y, x != y, ca.logic_not(x > 0), ca.logic_and(x, y), ca.logic_or(x, y)],
+    "comparisons": lambda x, y: [
+        x < y,
+        x <= y,
+        x == y,
+        x != y,
+        ca.logic_not(x > 0),
+        ca.logic_and(x, y),
+        ca.logic_or(x, y),
+    ],
     "choices": lambda x, y: [ca.if_else(x > y, x, y), ca.sign(x)],
     "rounding": lambda x, y: [ca.floor(x), ca.ceil(x), ca.fabs(y)],
-    "elementary": lambda x, y: [ca.sqrt(x), ca.exp(x), ca.log(x), ca.sin(x), ca.cos(x), ca.tanh(x), ca.atan2(x, y)],
+    "elementary": lambda x, y: [
+        ca.sqrt(x),
+        ca.exp(x),
+        ca.log(x),
+        ca.sin(x),
+        ca.cos(x),
+        ca.tanh(x),
+        ca.atan2(x, y),
+    ],
     "powers": lambda x, y: [x**y, x**3, x**0.5, 1 / x, 2 * x, x * x, -x, x / y, x - y],
-    "constants": lambda x, y: [x + ca.inf, x - ca.inf, y + float("nan"), ca.SX(3) + 0 * x, x * -2.5],
+    "constants": lambda x, y: [
+        x + ca.inf,
+        x - ca.inf,
+        y + float("nan"),
+        ca.SX(3) + 0 * x,
+        x * -2.5,
+    ],
 }
 
 
@@ -48,15 +74,17 @@ def test_every_operation_even_where_it_has_no_value(kind):
     edge = [-np.inf, -2.0, -0.5, -0.0, 0.0, 0.5, 1.0, 3.0, np.inf, np.nan]
     x, y = (a.ravel() for a in np.meshgrid(edge, edge))
     outputs = for_arrays(function)([x, y])
-    expected = np.column_stack([np.asarray(function([a, b])).ravel() for a, b in zip(x, y, strict=True)])
+    expected = np.column_stack(
+        [np.asarray(function([a, b])).ravel() for a, b in zip(x, y, strict=True)]
+    )
     for row, want in zip(outputs, expected, strict=True):
         np.testing.assert_allclose(np.broadcast_to(row, len(x)), want, rtol=1e-12, equal_nan=True)
 
 
 def test_a_minimum_or_maximum_lets_nan_through():
     z = ca.SX.sym("z", 2)
-    least, most = for_arrays(ca.Function("f", [z], [ca.vertcat(ca.fmin(z[0], z[1]), ca.fmax(z[0], z[1]))]))(
-        [np.array([1.0, np.nan, 2.0]), np.array([np.nan, 1.0, 3.0])]
-    )
+    least, most = for_arrays(
+        ca.Function("f", [z], [ca.vertcat(ca.fmin(z[0], z[1]), ca.fmax(z[0], z[1]))])
+    )([np.array([1.0, np.nan, 2.0]), np.array([np.nan, 1.0, 3.0])])
     np.testing.assert_array_equal(least, [np.nan, np.nan, 2.0])
     np.testing.assert_array_equal(most, [np.nan, np.nan, 3.0])

@@ -1,4 +1,6 @@
-"""Kernels in C compute what one branch of a condition needs in that branch alone, and give the same digits."""
+"""Kernels in C compute what one branch of a condition needs in that branch alone, and give the same
+digits.
+"""
 
 import itertools
 
@@ -27,7 +29,9 @@ def branches(done):
 
 
 def computed(done, hold):
-    """Return the names in the order in which they are computed where these conditions hold; each must have what it needs."""
+    """Return the names in the order in which they are computed where these conditions hold; each
+    must have what it needs.
+    """
     found = []
     for each in done:
         if isinstance(each, Line):
@@ -44,7 +48,12 @@ def computed(done, hold):
 
 def test_what_one_branch_needs_alone_is_computed_there():
     long = chain("b", "x", MIN_BRANCH_OPERATIONS)
-    lines = [Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, chosen("r", "c", long[-1].name)]
+    lines = [
+        Line("x", "v[0]", ()),
+        Line("c", "x < 0", ("x",)),
+        *long,
+        chosen("r", "c", long[-1].name),
+    ]
     done = arranged(lines, ["r"])
     assert [line.name for line in done[:2]] == ["x", "c"]
     branch, last = done[2:]
@@ -54,10 +63,18 @@ def test_what_one_branch_needs_alone_is_computed_there():
 
 @pytest.mark.parametrize("wanted", [["r", "b3"], ["r"]])
 def test_what_is_also_needed_elsewhere_is_computed_outside_the_branch(wanted):
-    """Once wanted for itself, or by another line, a value is computed in any case; so is what it needs."""
+    """Once wanted for itself, or by another line, a value is computed in any case; so is what it
+    needs.
+    """
     long = chain("b", "x", MIN_BRANCH_OPERATIONS + 4)
     other = [Line("y", "b3 * 2", ("b3",))] if wanted == ["r"] else []
-    lines = [Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, *other, chosen("r", "c", long[-1].name)]
+    lines = [
+        Line("x", "v[0]", ()),
+        Line("c", "x < 0", ("x",)),
+        *long,
+        *other,
+        chosen("r", "c", long[-1].name),
+    ]
     done = arranged(lines, [*wanted, *(line.name for line in other)])
     outside = [line.name for line in done if isinstance(line, Line)]
     assert {"b0", "b1", "b2", "b3"} <= set(outside)
@@ -78,9 +95,15 @@ def test_a_short_branch_is_not_worth_it():
 def test_branches_that_need_each_other_come_in_order():
     first, second = chain("b", "x", MIN_BRANCH_OPERATIONS), chain("d", "r", MIN_BRANCH_OPERATIONS)
     lines = [
-        Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *first, chosen("r", "c", first[-1].name),
-        Line("e", "r < 2", ("r",)), *second, chosen("s", "e", second[-1].name), Line("t", "s + r", ("s", "r")),
-    ]  # fmt: skip
+        Line("x", "v[0]", ()),
+        Line("c", "x < 0", ("x",)),
+        *first,
+        chosen("r", "c", first[-1].name),
+        Line("e", "r < 2", ("r",)),
+        *second,
+        chosen("s", "e", second[-1].name),
+        Line("t", "s + r", ("s", "r")),
+    ]
     done = arranged(lines, ["t"])
     assert len(branches(done)) == 2
     for hold in ((), ("c",), ("e",), ("c", "e")):
@@ -88,12 +111,19 @@ def test_branches_that_need_each_other_come_in_order():
 
 
 def test_what_two_conditions_need_under_a_third_is_computed_under_that():
-    """Each of two values is chosen by a condition of its own, and then both by a third one, which alone may make them needless."""
+    """Each of two values is chosen by a condition of its own, and then both by a third one, which
+    alone may make them needless.
+    """
     long = chain("b", "x", MIN_BRANCH_OPERATIONS)
     ends = [
-        line for k, c in (("p", "d"), ("q", "e"))
-        for line in (chosen(f"{k}1", c, long[-1].name), Line(f"{k}2", f"{k}1 * 3", (f"{k}1",)), chosen(f"{k}3", "c", f"{k}2"))
-    ]  # fmt: skip
+        line
+        for k, c in (("p", "d"), ("q", "e"))
+        for line in (
+            chosen(f"{k}1", c, long[-1].name),
+            Line(f"{k}2", f"{k}1 * 3", (f"{k}1",)),
+            chosen(f"{k}3", "c", f"{k}2"),
+        )
+    ]
     conditions = [Line("x", "v[0]", ()), *(Line(name, "x < 0", ("x",)) for name in "cde")]
     done = arranged([*conditions, *long, *ends, Line("r", "p3 + q3", ("p3", "q3"))], ["r"])
     [branch] = branches(done)
@@ -106,9 +136,16 @@ def test_what_two_conditions_need_under_a_third_is_computed_under_that():
 def test_a_branch_inside_another():
     long, longer = chain("b", "x", MIN_BRANCH_OPERATIONS), chain("d", "y", MIN_BRANCH_OPERATIONS)
     lines = [
-        Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, Line("e", "b1 < 2", ("b1",)), Line("y", "b2 * 2", ("b2",)),
-        *longer, chosen("s", "e", longer[-1].name), Line("t", f"s + {long[-1].name}", ("s", long[-1].name)), chosen("r", "c", "t"),
-    ]  # fmt: skip
+        Line("x", "v[0]", ()),
+        Line("c", "x < 0", ("x",)),
+        *long,
+        Line("e", "b1 < 2", ("b1",)),
+        Line("y", "b2 * 2", ("b2",)),
+        *longer,
+        chosen("s", "e", longer[-1].name),
+        Line("t", f"s + {long[-1].name}", ("s", long[-1].name)),
+        chosen("r", "c", "t"),
+    ]
     done = arranged(lines, ["r"])
     assert [each.condition for each in branches(done)] == ["c", "e"]
     assert computed(done, ("c", "e"))[-1] == "r"

@@ -1,4 +1,6 @@
-"""The cache of compiled files: what is damaged, half-written or left over is made again, and never used."""
+"""The cache of compiled files: what is damaged, half-written or left over is made again, and never
+used.
+"""
 
 import ctypes
 import os
@@ -29,9 +31,11 @@ def maker(made, content=b"as it was made" * 1000):
 
 
 DAMAGE = {
-    "empty": lambda data: b"", "cut": lambda data: data[: len(data) // 2], "longer": lambda data: data + b"x",
+    "empty": lambda data: b"",
+    "cut": lambda data: data[: len(data) // 2],
+    "longer": lambda data: data + b"x",
     "four bytes": lambda data: data[:500] + bytes(b ^ 0xFF for b in data[500:504]) + data[504:],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
@@ -76,8 +80,12 @@ def test_what_fails_leaves_nothing_and_what_was_left_is_swept_when_it_is_old(fol
 
 
 def test_a_library_that_was_cut_does_not_kill_the_next_process(folder, tmp_path):
-    """Without the comparison, loading or calling it ends the process: bus error, or file too short."""
-    source = {"f.c": '__attribute__((visibility("default"))) double f(double x) { return 2 * x; }\n'}
+    """Without the comparison, loading or calling it ends the process: bus error, or file too
+    short.
+    """
+    source = {
+        "f.c": '__attribute__((visibility("default"))) double f(double x) { return 2 * x; }\n'
+    }
     name = f"f{SUFFIX}"
 
     def make(out):
@@ -86,9 +94,10 @@ def test_a_library_that_was_cut_does_not_kill_the_next_process(folder, tmp_path)
     path = cached(name, make)
     path.write_bytes(path.read_bytes()[:3000])
     code = (
-        "import ctypes\nfrom bristle.common.cache import cached\nfrom bristle.model.compiler import compile_shared\n"
-        f"library = ctypes.CDLL(str(cached({name!r}, lambda out: compile_shared({source!r}, out))))\n"
-        "library.f.restype, library.f.argtypes = ctypes.c_double, [ctypes.c_double]\nprint(library.f(21.0))\n"
+        "import ctypes\nfrom bristle.common.cache import cached\nfrom bristle.model.compiler"
+        f" import compile_shared\nlibrary = ctypes.CDLL(str(cached({name!r}, lambda out:"
+        f" compile_shared({source!r}, out))))\nlibrary.f.restype, library.f.argtypes ="
+        " ctypes.c_double, [ctypes.c_double]\nprint(library.f(21.0))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "42.0"), done.stderr

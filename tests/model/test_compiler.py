@@ -19,7 +19,9 @@ from bristle.common.errors import BristleError
 from bristle.model import compiler
 from bristle.model.compiler import compile_shared, find_compiler
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="looks for processes in /proc")
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/cmdline").exists(), reason="looks for processes in /proc"
+)
 
 SHOWN = '__attribute__((visibility("default")))'  # nothing else is
 COMPILE = """
@@ -65,7 +67,9 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGTERM, 3)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGTERM, 3)]
+)
 def test_a_compiler_ends_with_us(endless: Path, tmp_path: Path, number: int, code: int) -> None:
     process = subprocess.Popen([sys.executable, "-c", COMPILE], cwd=tmp_path)
     wait_until(lambda: any(line.startswith("tail") for line in running(endless)))
@@ -74,7 +78,9 @@ def test_a_compiler_ends_with_us(endless: Path, tmp_path: Path, number: int, cod
     wait_until(lambda: not running(endless))
 
 
-def test_a_compiler_that_takes_too_long_is_ended(endless: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_that_takes_too_long_is_ended(
+    endless: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler, "TIMEOUT", 0.5)
     with pytest.raises(BristleError, match=r"did not end within 0\.5 s"):
         compile_shared({"f.c": "int f(void);"}, tmp_path / "f.so")
@@ -82,21 +88,30 @@ def test_a_compiler_that_takes_too_long_is_ended(endless: Path, tmp_path: Path, 
     assert not list(tmp_path.glob("f.so*"))
 
 
-def test_units_are_compiled_side_by_side_and_the_first_error_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_units_are_compiled_side_by_side_and_the_first_error_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each of two compilers waits for the other: one after the other would never end."""
     compilers, real = tmp_path / "both", find_compiler()[0]
     wait = f"while [ $(ls {tmp_path}/begun.* | wc -l) -lt 2 ]; do sleep 0.05; done"
-    compilers.write_text(f'#!/bin/sh\ncase "$*" in *-shared*) ;; *) touch {tmp_path}/begun.$$; {wait} ;; esac\nexec {real} "$@"\n')
+    compilers.write_text(
+        f'#!/bin/sh\ncase "$*" in *-shared*) ;; *) touch {tmp_path}/begun.$$; {wait} ;; esac\nexec'
+        f' {real} "$@"\n'
+    )
     compilers.chmod(0o755)
     monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
     with compiler.compiled_with(compiler.Toolchain("both", (str(compilers),))):
         compile_shared(
-            {"f.c": "int f(void) { return 1; }\n", "g.c": f"{SHOWN} int g(void) {{ return 2; }}\n"}, tmp_path / "both.so"
+            {"f.c": "int f(void) { return 1; }\n", "g.c": f"{SHOWN} int g(void) {{ return 2; }}\n"},
+            tmp_path / "both.so",
         )
         assert ctypes.CDLL(str(tmp_path / "both.so")).g() == 2
         with pytest.raises(BristleError, match="missing"):
-            compile_shared({"f.c": "int f(void) { return missing; }\n", "g.c": "int g(void) { return 3; }\n"}, tmp_path / "no.so")
+            compile_shared(
+                {"f.c": "int f(void) { return missing; }\n", "g.c": "int g(void) { return 3; }\n"},
+                tmp_path / "no.so",
+            )
     assert not list(tmp_path.glob("no.so*"))
 
 
@@ -121,11 +136,18 @@ def test_a_compiler_that_is_done_ends_no_other(tmp_path: Path) -> None:
     compiler._end(other)
     os.close(other_done)
     with ThreadPoolExecutor(8) as pool:
-        codes = list(pool.map(lambda k: compiler._run(["sleep", "0.05" if k % 4 else "0.3"], tmp_path).returncode, range(200)))
+        codes = list(
+            pool.map(
+                lambda k: compiler._run(["sleep", "0.05" if k % 4 else "0.3"], tmp_path).returncode,
+                range(200),
+            )
+        )
     assert codes == [0] * 200
 
 
-def test_what_has_not_begun_is_left_out_after_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_not_begun_is_left_out_after_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler.os, "cpu_count", lambda: 1)
     begun: list[str] = []
 
@@ -141,7 +163,9 @@ def test_what_has_not_begun_is_left_out_after_an_error(tmp_path: Path, monkeypat
     assert len(begun) < 4
 
 
-def test_an_interrupt_ends_a_compiler_that_is_about_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_ends_a_compiler_that_is_about_to_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
     ended: list[int] = []
     begun = threading.Event()

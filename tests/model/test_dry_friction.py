@@ -1,4 +1,6 @@
-"""The proximal step: exact sticking, exact stops, break-away, second order against event-located solutions."""
+"""The proximal step: exact sticking, exact stops, break-away, second order against event-located
+solutions.
+"""
 
 import math
 from itertools import pairwise
@@ -71,17 +73,22 @@ def test_above_the_bound_it_breaks_away(coulomb):
 
 
 def test_normal_load_scales_the_bound(coulomb):
-    inputs = {"u": np.full(100, 1.5 * FC / B), "load_scale": np.where(np.arange(100) < 50, 2.0, 1.0)}
+    inputs = {
+        "u": np.full(100, 1.5 * FC / B),
+        "load_scale": np.where(np.arange(100) < 50, 2.0, 1.0),
+    }
     v = Native(coulomb).run(1e-3, inputs, ["v"])[0][:, 0]
     assert np.all(v[:51] == 0.0)
     assert np.all(np.diff(v[51:]) > 0.0)
 
 
-# -- references with located events ----------------------------------------------------------------------------------
+# -- references with located events ----------------------------------------------------------------
 
 
 def held(torques, period):
-    """Return v at the end of every period: J v' = T - a2 v - Fc Sgn v in closed form, zero crossings located exactly."""
+    """Return v at the end of every period: J v' = T - a2 v - Fc Sgn v in closed form, zero
+    crossings located exactly.
+    """
     v, out = 0.0, [0.0]
     for torque in torques:
         left = period
@@ -113,7 +120,9 @@ def test_second_order_against_held_torques_with_located_stops(coulomb):
     assert np.sum(expected > 0.0) > 50
     steps, errors = [period / (10 * 2**k) for k in range(7)], []
     for h in steps:
-        native = Native(coulomb, {"solver.friction_step": h, "solver.max_step": period, "sample_time": period})
+        native = Native(
+            coulomb, {"solver.friction_step": h, "solver.max_step": period, "sample_time": period}
+        )
         found = native.run(period, {"u": volts}, ["v"])[0][:, 0]
         errors.append(np.mean(np.abs(found - expected)))
     assert 1.9 <= order(steps, errors) <= 2.2
@@ -122,15 +131,21 @@ def test_second_order_against_held_torques_with_located_stops(coulomb):
     assert errors[-1] < 1e-7 * np.max(np.abs(expected))
 
 
-AMPLITUDE, OMEGA = 0.005, 9.0  # just above the bound: the mass sticks for a good part of every half period
+# just above the bound: the mass sticks for a good part of every half period
+AMPLITUDE, OMEGA = 0.005, 9.0
 
 
 def forced(times):
-    """Return v(t) of J v' = A sin(w t) - Fc Sgn v from rest: closed form between break-away and located stop."""
+    """Return v(t) of J v' = A sin(w t) - Fc Sgn v from rest: closed form between break-away and
+    located stop.
+    """
     breaking = math.asin(FC / AMPLITUDE) / OMEGA
 
     def speed(t):
-        return (AMPLITUDE / OMEGA * (math.cos(OMEGA * breaking) - math.cos(OMEGA * t)) - FC * (t - breaking)) / J
+        return (
+            AMPLITUDE / OMEGA * (math.cos(OMEGA * breaking) - math.cos(OMEGA * t))
+            - FC * (t - breaking)
+        ) / J
 
     stop = brentq(speed, math.pi / 2 / OMEGA, math.pi / OMEGA + breaking, xtol=1e-15)
     assert stop < math.pi / OMEGA + breaking  # it comes to rest before it breaks away backwards
@@ -145,7 +160,9 @@ def forced(times):
 
 def shaker():
     system = System("shaker", "a mass on a rough table under a sinusoidal force")
-    bound = system.parameter(Parameter("Fc", "Fc", "N", FC, 0.0, 1.0, "friction", "acary2008 section 1.3"))
+    bound = system.parameter(
+        Parameter("Fc", "Fc", "N", FC, 0.0, 1.0, "friction", "acary2008 section 1.3")
+    )
     x = system.state(State("x", "m", "position"))
     v = system.state(State("v", "m/s", "velocity"))
     system.rate("x", v)

@@ -1,4 +1,6 @@
-"""A compiled program is found again by its fingerprint: it must change whenever the sources would."""
+"""A compiled program is found again by its fingerprint: it must change whenever the sources
+would.
+"""
 
 import copy
 from dataclasses import replace
@@ -15,7 +17,9 @@ from bristle.plant.servo import servo_program
 
 
 def built(law="coulomb", effects=(), wanted=("J",), observed="theta"):
-    return servo_program(law, encoder=False, effects=effects, sensitivities=wanted, observed=observed)
+    return servo_program(
+        law, encoder=False, effects=effects, sensitivities=wanted, observed=observed
+    )
 
 
 VARIED = {
@@ -65,7 +69,9 @@ def doubled(system, what, name):
 
 
 def servo(law, effects):
-    return servo_program(law, encoder=False, effects=effects, sensitivities=("J",), observed="theta")
+    return servo_program(
+        law, encoder=False, effects=effects, sensitivities=("J",), observed="theta"
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,11 +106,15 @@ def test_a_place_in_the_table_belongs_to_the_fingerprint():
 
 @pytest.mark.parametrize("name", ["proximal.py", "core.c", "emit.py"])
 def test_the_code_that_makes_functions_belongs_to_the_fingerprint(name, monkeypatch):
-    """Whatever it would make of an equation is not looked at, so a change of it has to count by itself."""
+    """Whatever it would make of an equation is not looked at, so a change of it has to count by
+    itself.
+    """
     program = built()
     before = fingerprint(program)
     read = Path.read_text
-    monkeypatch.setattr(Path, "read_text", lambda self, **o: read(self, **o) + (" " if self.name == name else ""))
+    monkeypatch.setattr(
+        Path, "read_text", lambda self, **o: read(self, **o) + (" " if self.name == name else "")
+    )
     sources._code.cache_clear()
     try:
         assert fingerprint(program) != before

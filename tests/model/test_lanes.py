@@ -1,4 +1,6 @@
-"""Several instances in the lanes of the processor's vectors give, each for itself, the digits of one alone."""
+"""Several instances in the lanes of the processor's vectors give, each for itself, the digits of
+one alone.
+"""
 
 from __future__ import annotations
 
@@ -24,30 +26,47 @@ LENGTH = 1500
 NO_LIMIT = (-1e300, 1e300)
 
 
-def in_lanes(program: Program, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]) -> tuple[Array, list[bool]]:
-    """Return the whole table after each step, shape (steps, variables, instances), and which instances have not failed.
+def in_lanes(
+    program: Program, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]
+) -> tuple[Array, list[bool]]:
+    """Return the whole table after each step, shape (steps, variables, instances), and which
+    instances have not failed.
 
     Inputs have the shape (steps, instances). A processor with two lanes takes several turns.
     """
     lanes = Lanes(program)
     turns = [
-        _turn(lanes, values[k : k + lanes.width], {name: series[:, k : k + lanes.width] for name, series in inputs.items()})
+        _turn(
+            lanes,
+            values[k : k + lanes.width],
+            {name: series[:, k : k + lanes.width] for name, series in inputs.items()},
+        )
         for k in range(0, len(values), lanes.width)
     ]
-    return np.concatenate([found for found, _ in turns], axis=2), [each for _, alive in turns for each in alive]
+    return np.concatenate([found for found, _ in turns], axis=2), [
+        each for _, alive in turns for each in alive
+    ]
 
 
-def _turn(lanes: Lanes, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]) -> tuple[Array, list[bool]]:
+def _turn(
+    lanes: Lanes, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]
+) -> tuple[Array, list[bool]]:
     program = lanes.program
-    lanes.initialise([*values, *[values[-1]] * (lanes.width - len(values))], 0.0, dict.fromkeys(inputs, NO_LIMIT))
+    lanes.initialise(
+        [*values, *[values[-1]] * (lanes.width - len(values))], 0.0, dict.fromkeys(inputs, NO_LIMIT)
+    )
     steps = len(next(iter(inputs.values())))
     size = len(program.slots) * lanes.width
-    table = np.ctypeslib.as_array((ctypes.c_double * size).from_address(lanes.address)).reshape(-1, lanes.width)
+    table = np.ctypeslib.as_array((ctypes.c_double * size).from_address(lanes.address)).reshape(
+        -1, lanes.width
+    )
     found = np.empty((steps, len(program.slots), len(values)))
     for k in range(steps):
         for name, series in inputs.items():
             table[program.index[name], : len(values)] = series[k]
-        lanes.library.lanes_step(ctypes.c_void_p(lanes.address), ctypes.c_double(k * STEP), ctypes.c_double(STEP), 1)
+        lanes.library.lanes_step(
+            ctypes.c_void_p(lanes.address), ctypes.c_double(k * STEP), ctypes.c_double(STEP), 1
+        )
         found[k] = table[:, : len(values)]
     return found, [lanes.alive(lane) for lane in range(len(values))]
 
@@ -68,8 +87,14 @@ def alone(program: Program, values: Mapping[str, float], inputs: Mapping[str, Ar
 
 
 def compared(program: Program) -> list[int]:
-    """Return the places that change from step to step and that lanes keep; derivatives are for Model Exchange alone."""
-    return [slot.index for slot in program.slots if slot.kind in ("output", "state", "sampled", "mode", "calculated", "hidden")]
+    """Return the places that change from step to step and that lanes keep; derivatives are for
+    Model Exchange alone.
+    """
+    return [
+        slot.index
+        for slot in program.slots
+        if slot.kind in ("output", "state", "sampled", "mode", "calculated", "hidden")
+    ]
 
 
 def voltages(lanes: int, rms: float) -> Array:
@@ -83,13 +108,17 @@ def voltages(lanes: int, rms: float) -> Array:
     return u
 
 
-def agree(program: Program, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]) -> Array:
+def agree(
+    program: Program, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]
+) -> Array:
     """Check that each lane has the digits of its own run alone, and return them."""
     found, alive = in_lanes(program, values, inputs)
     assert all(alive)
     for lane, each in enumerate(values):
         expected = alone(program, each, {name: series[:, lane] for name, series in inputs.items()})
-        np.testing.assert_array_equal(found[:, compared(program), lane], expected[:, compared(program)])
+        np.testing.assert_array_equal(
+            found[:, compared(program), lane], expected[:, compared(program)]
+        )
     return found
 
 
@@ -105,7 +134,11 @@ def test_a_plant_in_each_lane(law: str) -> None:
 
 
 def test_a_plant_with_effects() -> None:
-    names = [name for name in effects() if name not in ("backlash", "presliding", "bristle_damping", "encoder_play")]
+    names = [
+        name
+        for name in effects()
+        if name not in ("backlash", "presliding", "bristle_damping", "encoder_play")
+    ]
     program = program_of("plant", "coulomb", names[:6])
     agree(program, [{"J": 1e-3}, {"J": 2e-3}], {"u": voltages(2, 4.0)})
 
@@ -116,8 +149,16 @@ def test_an_observer_in_each_lane(method: str) -> None:
     program = program_of("observer", method)
     plant = program_of("plant", "modified")
     seen, _ = in_lanes(plant, [{"J": 1e-3}, {"J": 2e-3}], {"u": voltages(2, 3.0)})
-    driven = {"u": voltages(2, 3.0), "y_theta": seen[:, plant.index["theta_enc"]], "y_v": seen[:, plant.index["v_enc"]]}
-    agree(program, [{}, {}], {name: series for name, series in driven.items() if name in program.index})
+    driven = {
+        "u": voltages(2, 3.0),
+        "y_theta": seen[:, plant.index["theta_enc"]],
+        "y_v": seen[:, plant.index["v_enc"]],
+    }
+    agree(
+        program,
+        [{}, {}],
+        {name: series for name, series in driven.items() if name in program.index},
+    )
 
 
 def test_a_lane_that_fails_leaves_the_others_alone() -> None:
@@ -128,7 +169,9 @@ def test_a_lane_that_fails_leaves_the_others_alone() -> None:
     assert alive == [True, False, True]
     for lane in (0, 2):
         expected = alone(program, {}, {"u": u[:, lane]})
-        np.testing.assert_array_equal(found[:, compared(program), lane], expected[:, compared(program)])
+        np.testing.assert_array_equal(
+            found[:, compared(program), lane], expected[:, compared(program)]
+        )
 
 
 @pytest.mark.parametrize("wrong", [2.0, -2.0, np.nan, np.inf])
@@ -136,7 +179,9 @@ def test_a_lane_whose_input_is_outside_its_limits_fails(wrong: float) -> None:
     lanes = Lanes(program_of("controller"))
     lanes.initialise([{}] * lanes.width, 0.0, {"y_v": (-1.0, 1.0)})
     (ctypes.c_double * 2).from_address(lanes.place("y_v", 0))[:] = [1.0, wrong]
-    lanes.library.lanes_step(ctypes.c_void_p(lanes.address), ctypes.c_double(0.0), ctypes.c_double(STEP), 1)
+    lanes.library.lanes_step(
+        ctypes.c_void_p(lanes.address), ctypes.c_double(0.0), ctypes.c_double(STEP), 1
+    )
     assert [lanes.alive(0), lanes.alive(1)] == [True, False]
 
 

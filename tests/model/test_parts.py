@@ -26,11 +26,19 @@ from bristle.plant.servo import servo_program
 @pytest.mark.parametrize(
     ("text", "si", "value"),
     [
-        ("75 deg/s", "rad/s", 75 * math.pi / 180), ("20 ms", "s", 0.02), ("0.001 kg.m2", "kg.m2", 0.001),
-        ("40 mN.m", "N.m", 0.04), ("2 1/s", "1/s", 2.0), ("3 rev/min", "rad/s", 2 * math.pi * 3 / 60),
-        ("1 V", "kg.m2/s3.A", 1.0), ("5 %", "1", 0.05), ("7", "1", 7.0), (1e-3, "1", 1e-3), ("600 1/s2", "1/s2", 600.0),
+        ("75 deg/s", "rad/s", 75 * math.pi / 180),
+        ("20 ms", "s", 0.02),
+        ("0.001 kg.m2", "kg.m2", 0.001),
+        ("40 mN.m", "N.m", 0.04),
+        ("2 1/s", "1/s", 2.0),
+        ("3 rev/min", "rad/s", 2 * math.pi * 3 / 60),
+        ("1 V", "kg.m2/s3.A", 1.0),
+        ("5 %", "1", 0.05),
+        ("7", "1", 7.0),
+        (1e-3, "1", 1e-3),
+        ("600 1/s2", "1/s2", 600.0),
     ],
-)  # fmt: skip
+)
 def test_quantities(text, si, value):
     assert quantity(text, si) == pytest.approx(value, rel=1e-14)
 
@@ -38,10 +46,16 @@ def test_quantities(text, si, value):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("20", "has no unit"), ("20 V", "does not fit"), ("20 foo", "'foo' is not known"), ("x ms", "not a quantity"),
-        ("nan s", "not finite"), (True, "not a quantity"), (None, "not a quantity"), ("", "not a quantity"),
+        ("20", "has no unit"),
+        ("20 V", "does not fit"),
+        ("20 foo", "'foo' is not known"),
+        ("x ms", "not a quantity"),
+        ("nan s", "not finite"),
+        (True, "not a quantity"),
+        (None, "not a quantity"),
+        ("", "not a quantity"),
     ],
-)  # fmt: skip
+)
 def test_bad_quantities_are_refused_in_one_line(text, complaint):
     with pytest.raises(BristleError, match=complaint) as caught:
         quantity(text, "s")
@@ -50,7 +64,14 @@ def test_bad_quantities_are_refused_in_one_line(text, complaint):
 
 @pytest.mark.parametrize("unit", ["deg/s", "ms", "mN.m", "rev/min", "um", "kg.m2"])
 def test_units_convert_back(unit):
-    si = {"deg/s": "rad/s", "ms": "s", "mN.m": "N.m", "rev/min": "rad/s", "um": "m", "kg.m2": "kg.m2"}[unit]
+    si = {
+        "deg/s": "rad/s",
+        "ms": "s",
+        "mN.m": "N.m",
+        "rev/min": "rad/s",
+        "um": "m",
+        "kg.m2": "kg.m2",
+    }[unit]
     assert convert(convert(1.7, unit, si), si, unit) == pytest.approx(1.7, rel=1e-14)
 
 
@@ -61,8 +82,12 @@ def test_dimensions_of_derived_units():
 
 @pytest.mark.parametrize("value", [-1e-3, 11.0, math.nan, math.inf, -math.inf])
 def test_a_parameter_error_names_value_unit_and_range(value):
-    parameter = Parameter("law.k", "k", "N.m", 1.0, 0.0, 10.0, "stiffness of something", "dixit2008 eq. (8)")
-    with pytest.raises(BristleError, match=r"law\.k = .* N\.m is outside \[0, 10\] N\.m; .*stiffness of something"):
+    parameter = Parameter(
+        "law.k", "k", "N.m", 1.0, 0.0, 10.0, "stiffness of something", "dixit2008 eq. (8)"
+    )
+    with pytest.raises(
+        BristleError, match=r"law\.k = .* N\.m is outside \[0, 10\] N\.m; .*stiffness of something"
+    ):
         parameter.check(value)
     assert parameter.check(10.0) == 10.0
 
@@ -90,7 +115,16 @@ def test_unknown_parameters_and_variants_are_refused():
 
 def test_the_token_follows_the_interface():
     assert servo_program("lugre").token == servo_program("lugre").token
-    assert len({servo_program("lugre").token, servo_program("modified").token, servo_program("lugre", encoder=False).token}) == 3
+    assert (
+        len(
+            {
+                servo_program("lugre").token,
+                servo_program("modified").token,
+                servo_program("lugre", encoder=False).token,
+            }
+        )
+        == 3
+    )
 
 
 def test_elimination_solves_like_numpy():
@@ -160,7 +194,9 @@ def test_a_compiler_error_is_one_line(tmp_path):
 def test_compiling_twice_gives_the_same_bytes(tmp_path, monkeypatch):
     for name in ("a.so", "b.so"):
         monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / f"cache of {name}"))
-        compiler.compile_shared({"a.c": "double f(double x) { return 2.0 * x; }\n"}, tmp_path / name)
+        compiler.compile_shared(
+            {"a.c": "double f(double x) { return 2.0 * x; }\n"}, tmp_path / name
+        )
     assert (tmp_path / "a.so").read_bytes() == (tmp_path / "b.so").read_bytes()
 
 
@@ -169,22 +205,33 @@ def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_pat
     compiled = []
     run = compiler._compiler
     monkeypatch.setattr(
-        compiler, "_compiler", lambda triple, arguments, folder: (compiled.append(arguments), run(triple, arguments, folder))
+        compiler,
+        "_compiler",
+        lambda triple, arguments, folder: (
+            compiled.append(arguments),
+            run(triple, arguments, folder),
+        ),
     )
     shown = '__attribute__((visibility("default")))'
     sources = {
-        "a.c": f'#include "a.h"\n{shown} double f(double x) {{ return FACTOR * x; }}\n', "a.h": '# include "b.h"\n',
-        "b.h": "#define FACTOR 2.0\n", "c.c": "int c;\n", "c.h": "\n",
-    }  # fmt: skip
+        "a.c": f'#include "a.h"\n{shown} double f(double x) {{ return FACTOR * x; }}\n',
+        "a.h": '# include "b.h"\n',
+        "b.h": "#define FACTOR 2.0\n",
+        "c.c": "int c;\n",
+        "c.h": "\n",
+    }
 
     def units(**changed):
         """Return the units compiled for sources with some changed, and f(3) of the library."""
         compiled.clear()
         library = tmp_path / f"{len(os.listdir(tmp_path))}.so"
-        compiler.compile_shared(sources | {name.replace("_", "."): text for name, text in changed.items()}, library)
+        compiler.compile_shared(
+            sources | {name.replace("_", "."): text for name, text in changed.items()}, library
+        )
         f = ctypes.CDLL(str(library)).f
         f.restype, f.argtypes = ctypes.c_double, [ctypes.c_double]
-        return sorted(each[each.index("-c") + 1] for each in compiled if "-c" in each), f(3.0)  # side by side, in any order
+        # side by side, in any order
+        return sorted(each[each.index("-c") + 1] for each in compiled if "-c" in each), f(3.0)
 
     assert units() == (["a.c", "c.c"], 6.0)
     assert units() == ([], 6.0)
@@ -195,9 +242,13 @@ def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_pat
     assert units() == (["a.c", "c.c"], 6.0)
 
 
-def test_a_toolchain_is_used_inside_its_context_only_and_is_part_of_what_names_a_library(tmp_path, monkeypatch):
+def test_a_toolchain_is_used_inside_its_context_only_and_is_part_of_what_names_a_library(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
-    sources = {"a.c": '__attribute__((visibility("default"))) double f(double x) { return FACTOR * x; }\n'}
+    sources = {
+        "a.c": '__attribute__((visibility("default"))) double f(double x) { return FACTOR * x; }\n'
+    }
     usual = compiler.compiler_identity()
 
     def value(name, *flags):

@@ -1,4 +1,6 @@
-"""Sampling, modes and communication steps: the same time stepping in C, in Python and around CasADi's arithmetic."""
+"""Sampling, modes and communication steps: the same time stepping in C, in Python and around
+CasADi's arithmetic.
+"""
 
 import math
 
@@ -59,7 +61,7 @@ def machines(program, **parameters):
     return {"c": InC(program, **parameters), "python": python, "casadi": symbolic}
 
 
-# -- modes ---------------------------------------------------------------------------------------------------------------
+# -- modes -----------------------------------------------------------------------------------------
 
 
 def thermostat():
@@ -99,7 +101,9 @@ STIFF, SLIP = 200.0, 1.5
 
 
 def maxwell_slip():
-    """One spring that slips at SLIP, pulled at a given speed: stick or slip is remembered in a mode."""
+    """One spring that slips at SLIP, pulled at a given speed: stick or slip is remembered in a
+    mode.
+    """
     system = System("element")
     v = system.input(Variable("v", "m/s", "speed"))
     f = system.state(State("f", "N", "spring force", scale=SLIP))
@@ -131,11 +135,13 @@ def test_a_maxwell_slip_element_closes_its_hysteresis_loop():
         assert late.min() == pytest.approx(-SLIP, abs=step)
 
 
-# -- sampling ------------------------------------------------------------------------------------------------------------
+# -- sampling --------------------------------------------------------------------------------------
 
 
 def delays():
-    """An integrator with a two-sample delay of its input before it, and a sampler of its state behind it."""
+    """An integrator with a two-sample delay of its input before it, and a sampler of its state
+    behind it.
+    """
     system = System("delays")
     u = system.input(Variable("u", "1", "input"))
     d1 = system.sampled(State("d1", "1", "one sample old"))
@@ -150,7 +156,13 @@ def delays():
     system.rate("x", d2)
     system.update("s", x)
     system.update("n", n + 1)
-    for name, expression in {"delayed": d2, "integral": x, "sampled": s, "count_after": n, "count_before": m}.items():
+    for name, expression in {
+        "delayed": d2,
+        "integral": x,
+        "sampled": s,
+        "count_after": n,
+        "count_before": m,
+    }.items():
         system.output(Variable(name, "1", name), expression)
     return Program("Delays", [system])
 
@@ -163,11 +175,13 @@ def test_before_and_after_updates_meet_the_documented_instants():
         for k in range(50):
             machine.write("u", float(u[k]))
             machine.advance(h)
-            # on [k, k+1) the state is driven by the input of one step before: d1 takes u_k, d2 the old d1 = u_(k-1)
+            # on [k, k+1) the state is driven by the input of one step before: d1 takes u_k, d2 the
+            # old d1 = u_(k-1)
             integral += h * (u[k - 1] if k >= 1 else 0.0)
             delayed.append(machine.read("delayed"))
             assert machine.read("integral") == pytest.approx(integral, abs=1e-15)
-            assert machine.read("sampled") == machine.read("integral")  # `after` sees the end of the interval
+            # `after` sees the end of the interval
+            assert machine.read("sampled") == machine.read("integral")
             assert machine.read("count_before") == machine.read("count_after") == k + 1
         np.testing.assert_array_equal(delayed[1:], u[:-1])
 

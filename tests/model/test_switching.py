@@ -1,4 +1,6 @@
-"""Modes that switch within a step: where, at what cost, and what derivatives make of it, against closed forms."""
+"""Modes that switch within a step: where, at what cost, and what derivatives make of it, against
+closed forms.
+"""
 
 import math
 
@@ -20,9 +22,15 @@ LEVEL, FAST, SLOW = 0.3, -2.0, -0.5  # x falls from 1: exponentially, and otherw
 def falling(located=True, sensitivities=()):
     system = System("falling")
     system.input(Variable("pace", "1", "only counts the steps"))
-    level = system.parameter(Parameter("level", "l", "1", LEVEL, 0.0, 1.0, "where it changes", "gear1984"))
-    fast = system.parameter(Parameter("fast", "a", "1/s", FAST, -9.0, 0.0, "rate above the level", "gear1984"))
-    start = system.parameter(Parameter("begin", "x0", "1", 1.0, 0.0, 9.0, "start value", "gear1984"))
+    level = system.parameter(
+        Parameter("level", "l", "1", LEVEL, 0.0, 1.0, "where it changes", "gear1984")
+    )
+    fast = system.parameter(
+        Parameter("fast", "a", "1/s", FAST, -9.0, 0.0, "rate above the level", "gear1984")
+    )
+    start = system.parameter(
+        Parameter("begin", "x0", "1", 1.0, 0.0, 9.0, "start value", "gear1984")
+    )
     x = system.state(State("x", "1", "state", initial=start))
     below = system.mode(State("below", "1", "it has changed"))
     system.rate("x", ca.if_else(below == 0, fast * x, SLOW * x))
@@ -39,8 +47,12 @@ def exact(t, level=LEVEL, fast=FAST, begin=1.0):
 
 
 def run(program, n=50, h=0.02, **parameters):
-    native = Native(program, {"solver.max_step": h} | {f"solver.{k}": x for k, x in parameters.items()})
-    record, sens = native.run(h, {"pace": np.zeros(n)}, ["y"], sensitivities=bool(program.sensitivities))
+    native = Native(
+        program, {"solver.max_step": h} | {f"solver.{k}": x for k, x in parameters.items()}
+    )
+    record, sens = native.run(
+        h, {"pace": np.zeros(n)}, ["y"], sensitivities=bool(program.sensitivities)
+    )
     return record[:, 0], sens, native.steps
 
 
@@ -60,19 +72,24 @@ def test_without_a_margin_it_switches_up_to_a_step_late():
 
 
 def test_derivatives_carry_over_a_switch():
-    """x = level^(1 - SLOW/fast) begin^(SLOW/fast) exp(SLOW t) after the switch, as functions of level, fast and begin."""
+    """x = level^(1 - SLOW/fast) begin^(SLOW/fast) exp(SLOW t) after the switch, as functions of
+    level, fast and begin.
+    """
     names = ("level", "fast", "begin")
     found, sens, _ = run(falling(sensitivities=names), tolerance=1e-9)
     x = found[-1]
     ratio = SLOW / FAST
     assert sens[-1, 0, 0] == pytest.approx((1 - ratio) / LEVEL * x, rel=1e-6)
     assert sens[-1, 0, 1] == pytest.approx(ratio / FAST * math.log(LEVEL) * x, rel=1e-6)
-    # an initial value does not count among what the parameters move: the state begins independent of it
+    # an initial value does not count among what the parameters move: the state begins independent
+    # of it
     assert sens[-1, 0, 2] == 0.0
 
 
 def test_what_begins_past_its_point_switches_at_once():
-    """The step control cannot go back; it takes a step so short that what it does wrong cannot be seen."""
+    """The step control cannot go back; it takes a step so short that what it does wrong cannot be
+    seen.
+    """
     native = Native(falling(), {"begin": 0.2, "solver.max_step": 0.02, "solver.tolerance": 1e-13})
     record, _ = native.run(0.02, {"pace": np.zeros(50)}, ["y"])
     assert record[-1, 0] == pytest.approx(0.2 * math.exp(SLOW), rel=1e-8)

@@ -22,7 +22,14 @@ TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn")
 def write(path):
     """Write `TABLE` and, where the format allows it, a column of text."""
     if path.suffix in TEXT:
-        np.savetxt(path, np.column_stack(list(TABLE.values())), delimiter=",", header="t,u,theta", comments="", fmt="%.17g")
+        np.savetxt(
+            path,
+            np.column_stack(list(TABLE.values())),
+            delimiter=",",
+            header="t,u,theta",
+            comments="",
+            fmt="%.17g",
+        )
     elif path.suffix == ".npz":
         np.savez(path, **TABLE, word=np.array("text"))
     elif path.suffix == ".npy":
@@ -61,14 +68,23 @@ def test_all_formats_give_the_same_numbers(suffix, tmp_path):
     names = {name: f"array[:, {k}]" if suffix == ".npy" else name for k, name in enumerate(TABLE)}
     assert set(columns) == set(names.values())
     for name, values in TABLE.items():
-        np.testing.assert_allclose(columns[names[name]], values, rtol=1e-15 if suffix in (".xlsx", ".xlsm") else 0)  # 16 digits
+        # 16 digits
+        np.testing.assert_allclose(
+            columns[names[name]], values, rtol=1e-15 if suffix in (".xlsx", ".xlsm") else 0
+        )
         assert columns[names[name]].dtype == float
 
 
 def test_a_long_csv_is_read_at_the_speed_of_c(tmp_path):
     """20 000 lines of three numbers against the loop over rows that looks for mistakes."""
     path = tmp_path / "long.csv"
-    np.savetxt(path, np.random.default_rng(1).standard_normal((20000, 3)), delimiter=",", header="a,b,c", comments="")
+    np.savetxt(
+        path,
+        np.random.default_rng(1).standard_normal((20000, 3)),
+        delimiter=",",
+        header="a,b,c",
+        comments="",
+    )
 
     def best(read):
         took = []
@@ -87,7 +103,10 @@ def test_a_long_csv_is_read_at_the_speed_of_c(tmp_path):
         np.testing.assert_array_equal(values, slowly()[name])
 
 
-@pytest.mark.parametrize("header", ["# rig 3, Monday\n\n# 2 runs\nt,u", "# t,u", "# rig 3\n# t,u", "\ufefft,u", "\r\nt,u"])
+@pytest.mark.parametrize(
+    "header",
+    ["# rig 3, Monday\n\n# 2 runs\nt,u", "# t,u", "# rig 3\n# t,u", "\ufefft,u", "\r\nt,u"],
+)
 @pytest.mark.parametrize("rows", ["1,2\n3,4\n", "1,2\n3,\n"])
 def test_remarks_above_the_header(header, rows, tmp_path):
     path = tmp_path / "record.csv"
@@ -118,7 +137,10 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
 def test_separators_quotes_and_blank_lines(mark, tmp_path):
     path = tmp_path / "record.csv"
     path.write_text(f'\ufeff\n"t"{mark} u \n1{mark}2\n\n"3"{mark}4e0\n', encoding="utf-8")
-    assert {name: values.tolist() for name, values in read_columns(path).items()} == {"t": [1.0, 3.0], "u": [2.0, 4.0]}
+    assert {name: values.tolist() for name, values in read_columns(path).items()} == {
+        "t": [1.0, 3.0],
+        "u": [2.0, 4.0],
+    }
 
 
 def test_an_empty_field_is_nan(tmp_path):
@@ -140,7 +162,9 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
 def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path, monkeypatch, message):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     said = message(lambda: read_columns(tmp_path / "r.parquet"))
-    assert said.endswith("r.parquet: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV")
+    assert said.endswith(
+        "r.parquet: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV"
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,17 +195,24 @@ def test_a_bad_csv_says_where(content, words, tmp_path):
 @pytest.mark.parametrize("suffix", [each for each in READERS if each not in TEXT])
 def test_a_file_of_another_kind_is_one_line(suffix, tmp_path):
     path = tmp_path / f"bad{suffix}"
-    path.write_bytes(b"these are only some words, and then some more, so that there is something to look at " * 4)
-    with pytest.raises(BristleError, match=r"cannot be read|is no NPZ archive|is no array|is no XLSX workbook") as caught:
+    path.write_bytes(
+        b"these are only some words, and then some more, so that there is something to look at " * 4
+    )
+    with pytest.raises(
+        BristleError, match=r"cannot be read|is no NPZ archive|is no array|is no XLSX workbook"
+    ) as caught:
         read_columns(path)
     assert "\n" not in str(caught.value)
     assert "pickle" not in str(caught.value)
 
 
 OTHERS = {
-    "text": np.array(["a", "b", "c"]), "complex numbers": np.ones(3) * 1j, "booleans": np.ones(3, dtype=bool),
-    "an array of shape (2, 3)": np.ones((2, 3)), "timestamps": np.array(["2020-01-01"] * 3, dtype="datetime64[s]"),
-}  # fmt: skip
+    "text": np.array(["a", "b", "c"]),
+    "complex numbers": np.ones(3) * 1j,
+    "booleans": np.ones(3, dtype=bool),
+    "an array of shape (2, 3)": np.ones((2, 3)),
+    "timestamps": np.array(["2020-01-01"] * 3, dtype="datetime64[s]"),
+}
 
 
 @pytest.mark.parametrize("what", OTHERS)
@@ -224,15 +255,24 @@ def test_units_and_scales():
         si_column("record r: input", columns, "v", "V", None, "V")
     with pytest.raises(BristleError, match=r"record r: input: unit 'V' does not fit"):
         si_column("record r: input", columns, "u", "V", None, "N.m")
-    with pytest.raises(BristleError, match=r"unit 'N\.m' with scale '3 rad' gives none like 'N\.m'"):
+    with pytest.raises(
+        BristleError, match=r"unit 'N\.m' with scale '3 rad' gives none like 'N\.m'"
+    ):
         factor_to("N.m", "3 rad", "N.m")
     with pytest.raises(BristleError, match=r"x{40}\.\.\., c1, .* and 11 more$"):
-        si_column("record r: input", {"x" * 10_000: np.ones(3)} | {f"c{i}": np.ones(3) for i in range(1, 31)}, "v", "V", None, "V")
+        si_column(
+            "record r: input",
+            {"x" * 10_000: np.ones(3)} | {f"c{i}": np.ones(3) for i in range(1, 31)},
+            "v",
+            "V",
+            None,
+            "V",
+        )
     with pytest.raises(BristleError, match="is not a number with a unit"):
         factor_to("V", "much", "V")
 
 
-# -- as loggers write them -----------------------------------------------------------------------------------------------
+# -- as loggers write them -------------------------------------------------------------------------
 
 
 def text(path, content, encoding="utf-8"):
@@ -240,11 +280,18 @@ def text(path, content, encoding="utf-8"):
     return read_columns(path)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"]
+)
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_text_of_any_encoding(encoding, end, tmp_path):
-    columns = text(tmp_path / "r.csv", end.join(["Zeit [s];Größe [°]", "0,5;-1,5e1", "1;2", ""]), encoding)
-    assert {name: values.tolist() for name, values in columns.items()} == {"Zeit [s]": [0.5, 1.0], "Größe [°]": [-15.0, 2.0]}
+    columns = text(
+        tmp_path / "r.csv", end.join(["Zeit [s];Größe [°]", "0,5;-1,5e1", "1;2", ""]), encoding
+    )
+    assert {name: values.tolist() for name, values in columns.items()} == {
+        "Zeit [s]": [0.5, 1.0],
+        "Größe [°]": [-15.0, 2.0],
+    }
 
 
 @pytest.mark.parametrize(
@@ -254,14 +301,42 @@ def test_text_of_any_encoding(encoding, end, tmp_path):
         ("t\tu\n0,5\t1,5\n1,5\t2,5\n", {"t": [0.5, 1.5], "u": [1.5, 2.5]}, {}),
         ('t,u\n"0,5","1,5"\n"1,5",2\n', {"t": [0.5, 1.5], "u": [1.5, 2]}, {}),
         ("t,u\ns,N.m\n0,1\n1,2\n", {"t": [0, 1], "u": [1, 2]}, {"t": "s", "u": "N.m"}),
-        ("Time,Channel A\n(ms),(V)\n\n0,1\n1,2\n", {"Time": [0, 1], "Channel A": [1, 2]}, {"Time": "(ms)", "Channel A": "(V)"}),
-        ("x-axis,1\nsecond,Volt\n0,1\n1,2\n", {"x-axis": [0, 1], "1": [1, 2]}, {"x-axis": "second", "1": "Volt"}),
-        ("Model,TDS2024\nSample Interval,1e-6\n\nTIME,CH1\n0,1\n1,2\n2,3\n3,4\n", {"TIME": [0, 1, 2, 3], "CH1": [1, 2, 3, 4]}, {}),
-        ("% rig 3; day 2\n%time,field.effort0\n0,1\n1,2\n", {"time": [0, 1], "field.effort0": [1, 2]}, {}),
-        ("  Time [s]  Angle [deg]\n   0.0   1.0\n   1.0   2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
-        ("# Time [s] Angle [deg]\n0.0 1.0\n1.0 2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
+        (
+            "Time,Channel A\n(ms),(V)\n\n0,1\n1,2\n",
+            {"Time": [0, 1], "Channel A": [1, 2]},
+            {"Time": "(ms)", "Channel A": "(V)"},
+        ),
+        (
+            "x-axis,1\nsecond,Volt\n0,1\n1,2\n",
+            {"x-axis": [0, 1], "1": [1, 2]},
+            {"x-axis": "second", "1": "Volt"},
+        ),
+        (
+            "Model,TDS2024\nSample Interval,1e-6\n\nTIME,CH1\n0,1\n1,2\n2,3\n3,4\n",
+            {"TIME": [0, 1, 2, 3], "CH1": [1, 2, 3, 4]},
+            {},
+        ),
+        (
+            "% rig 3; day 2\n%time,field.effort0\n0,1\n1,2\n",
+            {"time": [0, 1], "field.effort0": [1, 2]},
+            {},
+        ),
+        (
+            "  Time [s]  Angle [deg]\n   0.0   1.0\n   1.0   2.0\n",
+            {"Time [s]": [0, 1], "Angle [deg]": [1, 2]},
+            {},
+        ),
+        (
+            "# Time [s] Angle [deg]\n0.0 1.0\n1.0 2.0\n",
+            {"Time [s]": [0, 1], "Angle [deg]": [1, 2]},
+            {},
+        ),
         ("t;u;\n0;1;\n1;2;\n", {"t": [0, 1], "u": [1, 2]}, {}),
-        ("t;u;state\nhh:mm:ss;V;\n0;1;off\n1;2;on\n", {"t": [0, 1], "u": [1, 2]}, {"t": "hh:mm:ss", "u": "V"}),
+        (
+            "t;u;state\nhh:mm:ss;V;\n0;1;off\n1;2;on\n",
+            {"t": [0, 1], "u": [1, 2]},
+            {"t": "hh:mm:ss", "u": "V"},
+        ),
         ("t;u;\n0;1;5\n1;2;6\n", {"t": [0, 1], "u": [1, 2], "column 3": [5, 6]}, {}),
         ("0,1\n1,2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
         ("# log of rig 3\n0 1\n1 2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
@@ -275,10 +350,16 @@ def test_the_styles_of_loggers(content, found, units, tmp_path):
 
 
 def test_a_column_of_text_is_no_obstacle(tmp_path):
-    columns = text(tmp_path / "r.csv", "t,state,u,note\n0,run,1,\n1,run,,7\n2,stop,3,see, below\n".replace("see, below", "see"))
+    columns = text(
+        tmp_path / "r.csv",
+        "t,state,u,note\n0,run,1,\n1,run,,7\n2,stop,3,see, below\n".replace("see, below", "see"),
+    )
     assert sorted(columns) == ["t", "u"]
     np.testing.assert_array_equal(columns["u"], [1, np.nan, 3])
-    with pytest.raises(BristleError, match=r"column 'note' holds text \('see' in line 4\); give one number a sample"):
+    with pytest.raises(
+        BristleError,
+        match=r"column 'note' holds text \('see' in line 4\); give one number a sample",
+    ):
         si_column("record r: input", columns, "note", "V", None, "V")
 
 
@@ -300,12 +381,21 @@ def test_a_last_line_that_was_cut_off_is_left_out(tmp_path):
     ],
 )
 def test_timestamps_are_seconds(stamps, first, tmp_path):
-    columns = text(tmp_path / "r.csv", "Zeit;u\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps)))
+    columns = text(
+        tmp_path / "r.csv", "Zeit;u\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps))
+    )
     assert columns["Zeit"].tolist() == [first, first + 0.5]
-    assert si_column("record r: time", columns, "Zeit", "s", None, "s").tolist() == [first, first + 0.5]
+    assert si_column("record r: time", columns, "Zeit", "s", None, "s").tolist() == [
+        first,
+        first + 0.5,
+    ]
     with pytest.raises(BristleError, match=r"timestamps, which are read in s; write unit = \"s\""):
         si_column("record r: time", columns, "Zeit", "ms", None, "s")
-    assert text(tmp_path / "no.csv", "t,u\n" + 2 * " 2026-13-45 10:00:00,1\n").unusable["t"].startswith("text ('2026-13-45")
+    assert (
+        text(tmp_path / "no.csv", "t,u\n" + 2 * " 2026-13-45 10:00:00,1\n")
+        .unusable["t"]
+        .startswith("text ('2026-13-45")
+    )
 
 
 def test_timestamps_of_parquet_and_spreadsheets_are_seconds(tmp_path):
@@ -328,10 +418,26 @@ def test_timestamps_of_parquet_and_spreadsheets_are_seconds(tmp_path):
 def test_structs_and_matrices_of_matlab(tmp_path):
     from scipy.io import savemat
 
-    signals = np.array([({"label": "u", "values": T},), ({"label": "y", "values": 2 * T},)], dtype=object)[:, 0]
-    savemat(tmp_path / "r.mat", {"log": {"t": T[:, None], "data": {"u": 3 * T}}, "M": np.column_stack([T, -T]), "scope": signals})
+    signals = np.array(
+        [({"label": "u", "values": T},), ({"label": "y", "values": 2 * T},)], dtype=object
+    )[:, 0]
+    savemat(
+        tmp_path / "r.mat",
+        {
+            "log": {"t": T[:, None], "data": {"u": 3 * T}},
+            "M": np.column_stack([T, -T]),
+            "scope": signals,
+        },
+    )
     columns = read_columns(tmp_path / "r.mat")
-    assert sorted(columns) == ["M(:,1)", "M(:,2)", "log.data.u", "log.t", "scope.u.values", "scope.y.values"]
+    assert sorted(columns) == [
+        "M(:,1)",
+        "M(:,2)",
+        "log.data.u",
+        "log.t",
+        "scope.u.values",
+        "scope.y.values",
+    ]
     np.testing.assert_array_equal(columns["log.data.u"], 3 * T)
     np.testing.assert_array_equal(columns["M(:,2)"], -T)
     np.testing.assert_array_equal(columns["scope.y.values"], 2 * T)
@@ -354,11 +460,13 @@ def test_mat_files_of_version_73(tmp_path):
     assert columns.unusable == {"name": "text", "run": "a MATLAB timeseries"}
 
 
-# -- limits --------------------------------------------------------------------------------------------------------------
+# -- limits ----------------------------------------------------------------------------------------
 
 
 def bombs():
-    """Give the suffix of each format that is packed, and what writes a small file of it that holds too much."""
+    """Give the suffix of each format that is packed, and what writes a small file of it that holds
+    too much.
+    """
     rows = LARGEST_CONTENT // 8 + 1
 
     def mat(path):
@@ -366,7 +474,10 @@ def bombs():
 
         savemat(
             path,
-            {"t": np.zeros(LARGEST_CONTENT // 2, dtype=np.int8), "u": np.zeros(LARGEST_CONTENT // 2 + 99, dtype=np.int8)},
+            {
+                "t": np.zeros(LARGEST_CONTENT // 2, dtype=np.int8),
+                "u": np.zeros(LARGEST_CONTENT // 2 + 99, dtype=np.int8),
+            },
             do_compression=True,
         )
 
@@ -402,17 +513,23 @@ def test_a_small_file_that_holds_too_much_is_refused(suffix, tmp_path):
     bombs()[suffix](path)
     assert path.stat().st_size < LARGEST_CONTENT / 100
     start = time.perf_counter()
-    with pytest.raises(BristleError, match=r"MiB unpacked, allowed 512; cut the record or leave out columns"):
+    with pytest.raises(
+        BristleError, match=r"MiB unpacked, allowed 512; cut the record or leave out columns"
+    ):
         read_columns(path)
     assert time.perf_counter() - start < 10
 
 
 def test_a_file_of_too_many_columns_is_refused_at_once(tmp_path):
     names = [f"c{k}" for k in range(100_003)]
-    (tmp_path / "r.csv").write_text("\n".join([",".join(names), *2 * [",".join(["0"] * len(names))]]))
+    (tmp_path / "r.csv").write_text(
+        "\n".join([",".join(names), *2 * [",".join(["0"] * len(names))]])
+    )
     np.savez(tmp_path / "r.npz", **{name: np.zeros(2) for name in names[: MOST_COLUMNS + 1]})
     for name, count in (("r.csv", 100_003), ("r.npz", MOST_COLUMNS + 1)):
         start = time.perf_counter()
-        with pytest.raises(BristleError, match=f"has {count} columns, allowed {MOST_COLUMNS}; leave out those"):
+        with pytest.raises(
+            BristleError, match=f"has {count} columns, allowed {MOST_COLUMNS}; leave out those"
+        ):
             read_columns(tmp_path / name)
         assert time.perf_counter() - start < 2

@@ -1,4 +1,6 @@
-"""What estimates are worth: the least squares beside a method, and whether what it calls valid is right."""
+"""What estimates are worth: the least squares beside a method, and whether what it calls valid is
+right.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,13 @@ sys.modules["condition_records"] = conditions  # its data classes look themselve
 _spec.loader.exec_module(conditions)
 
 
-# -- the fit alone, on numbers of the test ---------------------------------------------------------------------------------
+# -- the fit alone, on numbers of the test ---------------------------------------------------------
 
 
 def fitted(names, extra, alike=1.0, others=()):
-    """Return a method whose sample is z = y_v, h = [u, 1] or [u, 1, u'], judged by a companion; estimates are its own."""
+    """Return a method whose sample is z = y_v, h = [u, 1] or [u, 1, u'], judged by a companion;
+    estimates are its own.
+    """
     companion = Companion(names, extra)
 
     def equations(context, s):
@@ -50,7 +54,11 @@ def fitted(names, extra, alike=1.0, others=()):
         estimates = companion.narrow(p)
         sd = companion.deviations(p, estimates)
         limits = {name: SX(0.1) for name in estimates}
-        return Update(companion.advance(p, row, SX(1), s.period), estimates, **companion.judge(p, sd, limits, SX(1)))
+        return Update(
+            companion.advance(p, row, SX(1), s.period),
+            estimates,
+            **companion.judge(p, sd, limits, SX(1)),
+        )
 
     method = Method("fitted", "of a test", "none", "y_v", (), companion.states, equations)
     return Program("fitted", [observer(method)])
@@ -58,7 +66,9 @@ def fitted(names, extra, alike=1.0, others=()):
 
 def fit(program, u, y, names=("alpha2", "b")):
     columns = [f"{name}_{what}" for what in ("hat", "sd", "valid") for name in names]
-    out = Native(program, {"sample_time": STEP}).run(STEP, {"u": u, "y_v": y, "y_theta": np.zeros(len(u))}, columns)[0]
+    out = Native(program, {"sample_time": STEP}).run(
+        STEP, {"u": u, "y_v": y, "y_theta": np.zeros(len(u))}, columns
+    )[0]
     return out[-1].reshape(3, len(names))
 
 
@@ -91,7 +101,9 @@ def test_two_deviations_cover_the_truth(pole, least):
 
 
 def test_what_a_method_does_not_model_is_in_its_deviation():
-    """y = 2 u + 0.5 + 0.3 s with s like u: the narrow fit gives the 0.3 to u, and its deviation says so."""
+    """y = 2 u + 0.5 + 0.3 s with s like u: the narrow fit gives the 0.3 to u, and its deviation
+    says so.
+    """
     n, random = 20000, np.random.default_rng(3)
     u = random.standard_normal(n)
     y = np.r_[0.0, 2.0 * u[:-1] + 0.5 + 0.3 * np.abs(u[:-1])] + 0.1 * random.standard_normal(n)
@@ -105,28 +117,39 @@ def test_what_a_method_does_not_model_is_in_its_deviation():
 def test_equal_columns_are_not_known_however_good_the_data():
     n = 5000
     u = np.random.default_rng(4).standard_normal(n)
-    hat, sd, valid = fit(fitted(("alpha2", "b", "Fc"), 0, others=(lambda s: s.u,)), u, np.r_[0.0, 2.0 * u[:-1] + 0.5], (*STEP1,))
+    hat, sd, valid = fit(
+        fitted(("alpha2", "b", "Fc"), 0, others=(lambda s: s.u,)),
+        u,
+        np.r_[0.0, 2.0 * u[:-1] + 0.5],
+        (*STEP1,),
+    )
     assert sd[0] == sd[2] == pytest.approx(LARGEST_SD)
     assert hat[0] == pytest.approx(1.0, rel=1e-3)  # shared out, not blown up
     assert list(valid) == [0, 1, 0]
 
 
-@pytest.mark.parametrize(("cutoff", "period"), [(150.0, 1e-3), (60.0, 5e-3), (900.0, 1e-3), (20.0, 5e-4)])
+@pytest.mark.parametrize(
+    ("cutoff", "period"), [(150.0, 1e-3), (60.0, 5e-3), (900.0, 1e-3), (20.0, 5e-4)]
+)
 def test_the_noise_of_rounding_is_that_of_rounded_positions(cutoff, period):
     step, random = 1e-3, np.random.default_rng(5)
     errors = random.uniform(-step / 2, step / 2, 400_000)
     gain = 1 - math.exp(-cutoff * period)
     section = [gain], [1, gain - 1]
     seen = lfilter(*section, lfilter(*section, np.diff(errors, 2) / period**2))[1000:]
-    assert float(ca.evalf(rls.rounding_noise(SX(step), SX(cutoff), SX(period)))) == pytest.approx(np.var(seen), rel=0.02)
+    assert float(ca.evalf(rls.rounding_noise(SX(step), SX(cutoff), SX(period)))) == pytest.approx(
+        np.var(seen), rel=0.02
+    )
 
 
-# -- the methods of step 1 under conditions of the study -------------------------------------------------------------------
+# -- the methods of step 1 under conditions of the study -------------------------------------------
 
 
 @cache
 def judged(method, name, plant="S", seconds=30.0):
-    """Return (final estimates, sd, valid, adapted, truth) of a method under a condition; all it publishes must be finite."""
+    """Return (final estimates, sd, valid, adapted, truth) of a method under a condition; all it
+    publishes must be finite.
+    """
     condition = replace(conditions.CONDITIONS[name], seconds=seconds)
     data = conditions.record(condition, plant, 1)
     program = observer_program(method)
@@ -134,10 +157,14 @@ def judged(method, name, plant="S", seconds=30.0):
     if f"{method}.resolution" in program.index:
         values[f"{method}.resolution"] = 2 * math.pi / condition.counts
     outputs = [x.name for x in Interface(program).of("output")]
-    out = Native(program, values).run(condition.period, {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}, outputs)[0]
+    out = Native(program, values).run(
+        condition.period, {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}, outputs
+    )[0]
     assert np.all(np.isfinite(out))
     last, names = dict(zip(outputs, out[-1], strict=True)), (*STEP1, "load", "delay")
-    hat, sd, valid = ({name: last[f"{name}_{what}"] for name in names} for what in ("hat", "sd", "valid"))
+    hat, sd, valid = (
+        {name: last[f"{name}_{what}"] for name in names} for what in ("hat", "sd", "valid")
+    )
     return hat, sd, valid, last["adapted"], data.true
 
 
@@ -148,11 +175,22 @@ def off(found, names=STEP1):
 
 
 CASES = [
-    ("standard", "S"), ("standard", "R"), ("4096 counts", "S"), ("20 deg/s rms", "S"), ("5 deg/s rms", "R"),
-    ("one direction", "S"), ("delay 1 samples", "R"), ("constant torque 50 %", "S"), ("coloured torque 5 %", "R"),
-    ("load doubled", "S"), ("friction x20", "R"), ("LuGre v0 60 deg/s", "LuGre"), ("LuGre v0 120 deg/s", "LuGre"),
-    ("J x0.1", "R"), ("b x-1", "S"),
-]  # fmt: skip
+    ("standard", "S"),
+    ("standard", "R"),
+    ("4096 counts", "S"),
+    ("20 deg/s rms", "S"),
+    ("5 deg/s rms", "R"),
+    ("one direction", "S"),
+    ("delay 1 samples", "R"),
+    ("constant torque 50 %", "S"),
+    ("coloured torque 5 %", "R"),
+    ("load doubled", "S"),
+    ("friction x20", "R"),
+    ("LuGre v0 60 deg/s", "LuGre"),
+    ("LuGre v0 120 deg/s", "LuGre"),
+    ("J x0.1", "R"),
+    ("b x-1", "S"),
+]
 
 
 @pytest.mark.sampled(3)
@@ -160,12 +198,26 @@ CASES = [
 def test_what_is_valid_is_right(method):
     wrong = {}
     for name, plant in CASES:
-        wrong |= {(name, each): error for each, error in off(judged(method, name, plant)).items() if error > 10}
+        wrong |= {
+            (name, each): error
+            for each, error in off(judged(method, name, plant)).items()
+            if error > 10
+        }
     assert len(wrong) <= 1, wrong  # of some 35 that are valid
 
 
 @pytest.mark.parametrize("method", ["rls", "kreisselmeier", "kreisselmeier_position"])
-@pytest.mark.parametrize("name", ["standard", "noise 10 rad/s", "2 ms", "constant torque 25 %", "delay 1 samples", "1e+06 counts"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "standard",
+        "noise 10 rad/s",
+        "2 ms",
+        "constant torque 25 %",
+        "delay 1 samples",
+        "1e+06 counts",
+    ],
+)
 def test_good_records_make_everything_valid(method, name):
     found = judged(method, name)
     errors = off(found)
@@ -211,7 +263,9 @@ def test_a_gate_that_never_opened_has_adapted_nothing(method):
 
 @pytest.mark.parametrize("method", ["rls", "kreisselmeier"])
 def test_friction_that_is_negative_for_sure_refutes_the_model(method):
-    """A drive that adds 1 V s/rad of the speed to what the observer is told: the viscous friction then looks like -4.5 1/s."""
+    """A drive that adds 1 V s/rad of the speed to what the observer is told: the viscous friction
+    then looks like -4.5 1/s.
+    """
     condition = replace(conditions.CONDITIONS["standard"], seconds=30.0)
     data = conditions.record(condition, "S", 1)
     inputs = {"u": data.u - data.y_v, "y_theta": data.y_theta, "y_v": data.y_v}
@@ -222,27 +276,36 @@ def test_friction_that_is_negative_for_sure_refutes_the_model(method):
 
 
 def test_the_gate_follows_the_motion():
-    """In units a thousand times smaller, least squares finds the same; with the gate in given units it never adapts."""
+    """In units a thousand times smaller, least squares finds the same; with the gate in given units
+    it never adapts.
+    """
     data = conditions.record(replace(conditions.CONDITIONS["standard"], seconds=20.0), "S", 1)
     inputs = {"u": data.u, "y_theta": 1e-3 * data.y_theta, "y_v": 1e-3 * data.y_v}
     names = ["alpha2_hat", "alpha2_valid", "adapted"]
-    own = Native(observer_program("rls"), {"rls.resolution": 2e-3 * math.pi / 40000}).run(STEP, inputs, names)[0][-1]
+    own = Native(observer_program("rls"), {"rls.resolution": 2e-3 * math.pi / 40000}).run(
+        STEP, inputs, names
+    )[0][-1]
     assert own[0] == pytest.approx(2.0, rel=0.02)
     assert list(own[1:]) == [1, 1]
-    assert list(Native(observer_program("rls"), {"rls.vc": 1.5}).run(STEP, inputs, names)[0][-1]) == [0, 0, 0]
+    assert list(
+        Native(observer_program("rls"), {"rls.vc": 1.5}).run(STEP, inputs, names)[0][-1]
+    ) == [0, 0, 0]
 
 
 def test_what_came_from_a_lower_gate_is_forgotten_as_the_gate_rises():
     """Ten seconds at 20 deg/s, where the Stribeck effect is strong, and then as usual."""
     slow = conditions.record(replace(conditions.CONDITIONS["20 deg/s rms"], seconds=10.0), "S", 1)
     fast = conditions.record(replace(conditions.CONDITIONS["standard"], seconds=30.0), "S", 1)
-    joined = {"u": np.r_[slow.u, fast.u], "y_theta": np.r_[slow.y_theta - slow.y_theta[-1], fast.y_theta]}
+    joined = {
+        "u": np.r_[slow.u, fast.u],
+        "y_theta": np.r_[slow.y_theta - slow.y_theta[-1], fast.y_theta],
+    }
     out = Native(observer_program("rls")).run(STEP, joined, ["Fc_hat", "rls.gate_reached"])[0]
     assert out[-1, 1] > 2.5 * out[9000, 1]
     assert out[-1, 0] == pytest.approx(4.0, rel=0.02)
 
 
-# -- nothing but numbers comes out -----------------------------------------------------------------------------------------
+# -- nothing but numbers comes out -----------------------------------------------------------------
 
 
 def extremes():
@@ -254,7 +317,11 @@ def extremes():
     yield {name: np.where(k % 2, 1e300, -1e300) for name in everything}
     yield {name: np.full(n, 1e300) for name in everything}
     yield {name: 1e-300 * random.standard_normal(n) for name in everything}
-    yield {"u": np.sin(0.01 * k), "y_theta": np.where(k > n // 2, 1e300, 1e-3 * k), "y_v": np.where(k == n // 2, -1e300, 1.0)}
+    yield {
+        "u": np.sin(0.01 * k),
+        "y_theta": np.where(k > n // 2, 1e300, 1e-3 * k),
+        "y_v": np.where(k == n // 2, -1e300, 1.0),
+    }
 
 
 @pytest.mark.sampled(4)

@@ -1,4 +1,6 @@
-"""Methods without a first step: Approach I filtered, literal and for smooth inputs; the original LuGre law by min-max."""
+"""Methods without a first step: Approach I filtered, literal and for smooth inputs; the original
+LuGre law by min-max.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +22,45 @@ from bristle.plant.friction import law
 from bristle.plant.servo import servo, servo_program
 
 STEP = 1e-3
-SET_S = {"alpha2": 2.0, "b": 6.5, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0, "Fc": 4.0}
+SET_S = {
+    "alpha2": 2.0,
+    "b": 6.5,
+    "sigma0": 600.0,
+    "sigma1": 800.0,
+    "sigma2": 300.0,
+    "c": 150.0,
+    "Fc": 4.0,
+}
 SIX = tuple(name for name in SET_S if name != "Fc")
 L0 = {"sigma0": 800.0, "a0": 0.005, "a1": 0.004, "v0": math.radians(25.0), "Fc": 4.0}
 STIFF = {"sigma0": 5000.0, "a0": 0.0006, "a1": 0.0002, "v0": math.radians(50.0), "Fc": 3.0}
 LUGRE = {"lugre.sigma0": 5.0, "lugre.Fc": 0.003, "lugre.Fs": 0.004, "lugre.vs": STIFF["v0"]}
-PLANTS = {"S": ("modified", {}), "L0": ("lugre", {}), "L1": ("lugre", {"lugre.sigma1": 0.02}), "stiff": ("lugre", LUGRE)}
+PLANTS = {
+    "S": ("modified", {}),
+    "L0": ("lugre", {}),
+    "L1": ("lugre", {"lugre.sigma1": 0.02}),
+    "stiff": ("lugre", LUGRE),
+}
 KNOWN = {"cao.alpha2": 2.0, "cao.b": 6.5}
 FOUR = {name: SET_S[name] for name in ("sigma0", "sigma1", "sigma2", "c")}
 DIRECT = (
-    "approach_one", "approach_one_known", "approach_one_smooth", "approach_one_smooth_known", "cao", "swapped", "swapped_known",
-    "swapped_position", "swapped_position_known",
-)  # fmt: skip
+    "approach_one",
+    "approach_one_known",
+    "approach_one_smooth",
+    "approach_one_smooth_known",
+    "cao",
+    "swapped",
+    "swapped_known",
+    "swapped_position",
+    "swapped_position_known",
+)
 
 
 @lru_cache(maxsize=8)
 def closed_loop(plant: str, order: int, seconds: float = 20.0) -> dict[str, np.ndarray]:
-    """Let a plant track noise of some 120 deg/s, through one or two 5 rad/s sections, under a PI controller."""
+    """Let a plant track noise of some 120 deg/s, through one or two 5 rad/s sections, under a PI
+    controller.
+    """
     name, parameters = PLANTS[plant]
     program = servo_program(name)
     instance, index = Native(program, parameters), program.index
@@ -58,14 +82,23 @@ def closed_loop(plant: str, order: int, seconds: float = 20.0) -> dict[str, np.n
         instance.write(table)
         instance.advance(STEP)
         table = instance.values
-    return {"u": found["u"], "y_theta": found["theta"], "y_v": found["v"], "encoder": found["theta_enc"]}
+    return {
+        "u": found["u"],
+        "y_theta": found["theta"],
+        "y_v": found["v"],
+        "encoder": found["theta_enc"],
+    }
 
 
 def open_loop(voltage, seconds: float) -> dict[str, np.ndarray]:
-    """Drive set S with a voltage that is a function of time, held over a fiftieth of a sample only."""
+    """Drive set S with a voltage that is a function of time, held over a fiftieth of a sample
+    only.
+    """
     n, fine = int(seconds / STEP), 50
     inside = (np.arange(n * fine) + 0.5) * STEP / fine
-    out, _ = Native(servo_program("modified")).run(STEP / fine, {"u": voltage(inside)}, ["theta", "v"])
+    out, _ = Native(servo_program("modified")).run(
+        STEP / fine, {"u": voltage(inside)}, ["theta", "v"]
+    )
     theta, v = np.ascontiguousarray(out[:-1:fine].T)
     return {"u": voltage(np.arange(n) * STEP), "y_theta": theta, "y_v": v}
 
@@ -109,7 +142,7 @@ def earlier(data):
     return data | {"u": np.append(data["u"][1:], data["u"][-1])}
 
 
-# -- Approach I, filtered ----------------------------------------------------------------------------------------------------
+# -- Approach I, filtered --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -123,7 +156,9 @@ def earlier(data):
 )
 def test_all_parameters_are_found_at_once(method, order, limit, since, meanwhile):
     data = closed_loop("S", order)
-    error, valid = errors(method, from_encoder(data) if method == "swapped_position" else data, SET_S)
+    error, valid = errors(
+        method, from_encoder(data) if method == "swapped_position" else data, SET_S
+    )
     assert np.all(np.abs(error[-1]) < limit)
     assert np.all(valid[int(since / STEP) :])
     assert np.max(np.abs(error[valid])) < meanwhile
@@ -144,7 +179,9 @@ def given(method: str) -> dict[str, float]:
     return {f"{method}.{name}": SET_S[name] for name in ("alpha2", "b")}
 
 
-@pytest.mark.parametrize(("method", "order", "limit"), [("swapped_known", 1, 0.8), ("swapped_position_known", 2, 2.0)])
+@pytest.mark.parametrize(
+    ("method", "order", "limit"), [("swapped_known", 1, 0.8), ("swapped_position_known", 2, 2.0)]
+)
 def test_with_alpha2_and_b_known_four_entries_are_left_and_are_found(method, order, limit):
     data = from_encoder(closed_loop("S", order))
     error, _ = errors(method, data, FOUR, given(method))
@@ -154,7 +191,9 @@ def test_with_alpha2_and_b_known_four_entries_are_left_and_are_found(method, ord
 
 
 def filtered_rows(data, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of the equation at each sample from the second on, by brute force: filters in twentieths of a sample."""
+    """Return the rows of the equation at each sample from the second on, by brute force: filters in
+    twentieths of a sample.
+    """
     v, u, fine = data["y_v"], data["u"][:-1], 20
     degrees = np.abs(np.rad2deg(v))
     shapes = np.exp(-((degrees / 10) ** 2)), np.exp(-(((degrees - 20) / 20) ** 2))
@@ -178,7 +217,9 @@ def filtered_rows(data, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
 
 def entries(free):
     alpha2, b, sigma0, sigma1, sigma2, c, c_load, late = free
-    return np.array([alpha2, b, sigma0, sigma1, sigma2, c * b, c * alpha2, c, c_load, late, c * late])
+    return np.array(
+        [alpha2, b, sigma0, sigma1, sigma2, c * b, c * alpha2, c, c_load, late, c * late]
+    )
 
 
 @pytest.mark.parametrize(("plant", "tolerance"), [("S", 2e-5), ("L0", 4e-3)])
@@ -196,10 +237,14 @@ def test_the_recursion_is_the_batch_least_squares_of_eight_parameters(plant, tol
     def residual(x):
         return rows @ entries(start + x * size) - left
 
-    best = start + size * least_squares(residual, np.zeros(8), x_scale="jac", xtol=1e-12, ftol=1e-15).x
+    best = (
+        start + size * least_squares(residual, np.zeros(8), x_scale="jac", xtol=1e-12, ftol=1e-15).x
+    )
     found, _ = observe("swapped", data, SIX)
-    np.testing.assert_allclose(found[-1], best[:6], rtol=tolerance)  # one step of Gauss-Newton against all
-    if plant == "L0":  # where the model is not the plant's, the two entries that are products keep alpha2 in place
+    # one step of Gauss-Newton against all
+    np.testing.assert_allclose(found[-1], best[:6], rtol=tolerance)
+    # where the model is not the plant's, the two entries that are products keep alpha2 in place
+    if plant == "L0":
         assert abs(linear[0] / 2.0 - 1) > 0.03
         assert abs(found[-1, 0] / 2.0 - 1) < 0.01
 
@@ -215,7 +260,7 @@ def test_nothing_is_valid_without_excitation(method):
         assert not valid.any()
 
 
-# -- what the least-squares methods share ------------------------------------------------------------------------------------
+# -- what the least-squares methods share ----------------------------------------------------------
 
 
 def evaluate(*expressions):
@@ -228,7 +273,10 @@ def test_factors_solve_regress_and_invert():
     matrix, rhs = rows.T @ rows, random.standard_normal(6)
     factors = information.Factors(ca.SX(ca.DM(matrix)))
     solved, diagonal, regression, left = evaluate(
-        factors.solve(ca.SX(ca.DM(rhs))), factors.inverse_diagonal(), factors.regression(), factors.d[-1]
+        factors.solve(ca.SX(ca.DM(rhs))),
+        factors.inverse_diagonal(),
+        factors.regression(),
+        factors.d[-1],
     )
     np.testing.assert_allclose(solved.ravel(), np.linalg.solve(matrix, rhs), rtol=1e-8)
     np.testing.assert_allclose(diagonal.ravel(), np.diag(np.linalg.inv(matrix)), rtol=1e-8)
@@ -237,15 +285,19 @@ def test_factors_solve_regress_and_invert():
     assert float(left[0, 0]) == pytest.approx(squares[0], rel=1e-8)
 
 
-@pytest.mark.parametrize("matrix", [np.zeros((4, 4)), np.ones((4, 4)), np.diag([1.0, 0.0, 1e-30, 1e30])])
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((4, 4)), np.ones((4, 4)), np.diag([1.0, 0.0, 1e-30, 1e30])]
+)
 def test_factors_of_a_singular_matrix_stay_finite_and_positive(matrix):
     factors = information.Factors(ca.SX(ca.DM(matrix)))
-    values = evaluate(factors.solve(ca.SX(ca.DM(matrix[0]))), factors.inverse_diagonal(), ca.vertcat(*factors.d))
+    values = evaluate(
+        factors.solve(ca.SX(ca.DM(matrix[0]))), factors.inverse_diagonal(), ca.vertcat(*factors.d)
+    )
     assert all(np.all(np.isfinite(value)) for value in values)
     assert values[-1].min() > 0
 
 
-# -- Approach I as printed ---------------------------------------------------------------------------------------------------
+# -- Approach I as printed -------------------------------------------------------------------------
 
 
 def differentiated(order: int, limit: float, step: float) -> np.ndarray:
@@ -255,7 +307,9 @@ def differentiated(order: int, limit: float, step: float) -> np.ndarray:
     advance = ca.Function("advance", [z, f], [rule(z, f, ca.SX(limit), ca.SX(step))])
     t = step * np.arange(int(3 / step))
     states = np.array(advance.mapaccum(len(t))(np.zeros(order + 1), np.sin(3 * t)[None, :])).T
-    exact = np.column_stack([np.sin(3 * (t + step)), 3 * np.cos(3 * (t + step)), -9 * np.sin(3 * (t + step))])
+    exact = np.column_stack(
+        [np.sin(3 * (t + step)), 3 * np.cos(3 * (t + step)), -9 * np.sin(3 * (t + step))]
+    )
     return np.abs(states - exact[:, : order + 1])[t > 2].max(axis=0)
 
 
@@ -287,7 +341,8 @@ def test_approach_one_fails_where_the_input_is_held(order):
     assert late[SIX.index("sigma0")] > 50
     assert late[SIX.index("c")] > 50
     assert np.max(late) > 90
-    assert np.max(late_error("swapped", data)) < 1.0  # the same equation and record, without differentiation
+    # the same equation and record, without differentiation
+    assert np.max(late_error("swapped", data)) < 1.0
 
 
 def test_approach_one_fails_already_at_the_knots_of_a_piecewise_linear_input():
@@ -314,32 +369,55 @@ def test_a_piecewise_linear_input_is_differentiated_exactly():
 def test_what_is_for_a_piecewise_linear_input_fails_with_a_held_one_and_the_other_way_round():
     assert np.max(late_error("approach_one_smooth", closed_loop("S", 1))) > 20
     assert np.max(late_error("approach_one_smooth", earlier(ramps()))) > 20
-    estimates, _ = observe("swapped", ramps(), ("delay",))  # which takes a ramp for a held input that comes half a sample early
+    # which takes a ramp for a held input that comes half a sample early
+    estimates, _ = observe("swapped", ramps(), ("delay",))
     assert estimates[-1, 0] == pytest.approx(-0.5, abs=0.02)
     assert np.max(late_error("swapped", ramps())) < 0.5
 
 
-# -- the original LuGre law --------------------------------------------------------------------------------------------------
+# -- the original LuGre law ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("plant", "order", "truth"), [("L0", 1, L0), ("L0", 2, L0), ("stiff", 2, STIFF)])
+@pytest.mark.parametrize(
+    ("plant", "order", "truth"), [("L0", 1, L0), ("L0", 2, L0), ("stiff", 2, STIFF)]
+)
 def test_the_nonlinear_parameters_of_lugre_are_found(plant, order, truth):
     error, valid = errors("cao", closed_loop(plant, order), truth, KNOWN)
     assert np.all(np.abs(error[-1]) < 3.0)
     assert np.all(valid[-5000:])
-    assert np.max(np.abs(error[valid])) < 100 * np.expm1(0.15)  # what `precision` promises of a valid estimate
+    # what `precision` promises of a valid estimate
+    assert np.max(np.abs(error[valid])) < 100 * np.expm1(0.15)
 
 
 def test_two_samples_say_what_the_friction_is():
-    """With the law's true parameters the equation holds to a thousandth wherever the velocity is steady."""
-    names = ("b", "alpha2", "tolerance", "steadiness", "samples", "u_before", "v_before", "u", "y0", "y1")
+    """With the law's true parameters the equation holds to a thousandth wherever the velocity is
+    steady.
+    """
+    names = (
+        "b",
+        "alpha2",
+        "tolerance",
+        "steadiness",
+        "samples",
+        "u_before",
+        "v_before",
+        "u",
+        "y0",
+        "y1",
+    )
     symbol = {name: ca.SX.sym(name) for name in names}
     sample = Sample(symbol["u"], symbol["y0"], symbol["y1"], ca.SX(STEP))
     e, steady = cao.equation(Namespace(symbol), sample)
     data = closed_loop("L0", 1)
     u, v = data["u"][:-1], data["y_v"]
     n = len(u) - 1
-    given = [np.full(n, x) for x in (6.5, 2.0, 1.0, 0.05, 10.0)] + [u[:-1], v[:-2], u[1:], v[1:-1], v[2:]]
+    given = [np.full(n, x) for x in (6.5, 2.0, 1.0, 0.05, 10.0)] + [
+        u[:-1],
+        v[:-2],
+        u[1:],
+        v[1:-1],
+        v[2:],
+    ]
     equation = ca.Function("equation", list(symbol.values()), [e.speed, e.w, e.dw, steady]).map(n)
     speed, w, dw, counts = (np.array(x).ravel() for x in equation(*(x[None, :] for x in given)))
     level = 4.0 + 3.2 * np.exp(-((speed / L0["v0"]) ** 2))
@@ -382,8 +460,12 @@ def test_the_lower_level_alone_does_not_move_in_a_wide_region():
 
 
 def random_case(random, spread: float):
-    """Return (theta, a region that holds it, an estimate in the region, speed, w, w') that obey the LuGre law exactly."""
-    theta = np.array([random.uniform(0, 2), random.uniform(-1, 2), random.uniform(1, 50), -random.uniform(5, 9)])
+    """Return (theta, a region that holds it, an estimate in the region, speed, w, w') that obey the
+    LuGre law exactly.
+    """
+    theta = np.array(
+        [random.uniform(0, 2), random.uniform(-1, 2), random.uniform(1, 50), -random.uniform(5, 9)]
+    )
     size = np.array([1.0, 1.0, 20.0, 1.0]) * spread
     lo, hi = theta - size * random.uniform(size=4), theta + size * random.uniform(size=4)
     lo[2] = max(lo[2], 0.1)
@@ -414,7 +496,10 @@ def test_the_upper_level_never_loses_the_truth(spread):
     for _ in range(500):
         theta, lo, hi, _, speed, w, dw = random_case(random, spread)
         error = random.uniform(-1, 1, 2) * 1e-3
-        new_lo, new_hi = (np.array(x).ravel() for x in upper(speed, w * (1 + error[0]), dw * (1 + error[1]), 2e-3, lo, hi))
+        new_lo, new_hi = (
+            np.array(x).ravel()
+            for x in upper(speed, w * (1 + error[0]), dw * (1 + error[1]), 2e-3, lo, hi)
+        )
         assert np.all(new_lo <= theta + 1e-12)
         assert np.all(theta <= new_hi + 1e-12)
         narrowed += np.any(new_hi - new_lo < 0.99 * (hi - lo))
@@ -434,27 +519,39 @@ def test_the_lower_level_never_goes_farther_from_the_truth(spread):
     assert moved > (5 if spread == 3.0 else 50)
 
 
-# -- what the passivity-like form asks for -----------------------------------------------------------------------------------
+# -- what the passivity-like form asks for ---------------------------------------------------------
 
 
 def gains_into_the_output(names) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of v' and of w' by parameters of set S, at a point where all of them count."""
+    """Return the derivatives of v' and of w' by parameters of set S, at a point where all of them
+    count.
+    """
     system = servo(law("modified"), encoder=False)
     wanted = system.vector(names)
-    slopes = ca.vertcat(ca.jacobian(system.rates["v"], wanted), ca.jacobian(system.rates["w"], wanted))
+    slopes = ca.vertcat(
+        ca.jacobian(system.rates["v"], wanted), ca.jacobian(system.rates["w"], wanted)
+    )
     knowns = [*system.parameters, *system.states, *system.inputs]
     point = {"v": 0.3, "w": 4.0, "u": 2.0, "load_scale": 1.0, "tau_load": 0.0, "theta": 0.0}
-    values = [point.get(name, system.parameters[name].default if name in system.parameters else 0.0) for name in knowns]
+    values = [
+        point.get(name, system.parameters[name].default if name in system.parameters else 0.0)
+        for name in knowns
+    ]
     found = np.array(ca.Function("slopes", [system.vector(knowns)], [slopes])(values))
     return found[0], found[1]
 
 
 def test_besancons_passivity_like_condition_fails_for_step_two():
-    """P B = C' with P > 0 needs C B = B'P B > 0: parameters that enter v' itself. sigma_i and c enter w', one step later."""
-    of_v, of_w = gains_into_the_output([f"modified.{name}" for name in ("sigma0", "sigma1", "sigma2", "c")])
+    """P B = C' with P > 0 needs C B = B'P B > 0: parameters that enter v' itself. sigma_i and c
+    enter w', one step later.
+    """
+    of_v, of_w = gains_into_the_output(
+        [f"modified.{name}" for name in ("sigma0", "sigma1", "sigma2", "c")]
+    )
     np.testing.assert_array_equal(of_v, 0.0)
     assert np.all(np.abs(of_w) > 1e-3)
-    for column in of_w:  # P = [[p1, p2], [p2, p3]], P [0, column]' = [1, 0]': p2 and p3 follow, p1 is free
+    # P = [[p1, p2], [p2, p3]], P [0, column]' = [1, 0]': p2 and p3 follow, p1 is free
+    for column in of_w:
         p2, p3 = 1 / column, 0.0
         smallest = [np.linalg.eigvalsh([[p1, p2], [p2, p3]])[0] for p1 in np.logspace(-9, 9, 19)]
         assert max(smallest) < 0
@@ -464,15 +561,18 @@ def test_besancons_passivity_like_condition_fails_for_step_two():
 
 
 def test_without_the_filtered_regressor_a_large_adaptation_gain_is_unstable():
-    """theta^' = g psi e on a constant psi = 1: s^3 + k1 s^2 + k2 s + g loses stability at g = k1 k2, s^2 + k s + g never."""
+    """theta^' = g psi e on a constant psi = 1: s^3 + k1 s^2 + k2 s + g loses stability at g = k1
+    k2, s^2 + k s + g never.
+    """
     k1, k2 = 100.0, 2500.0  # both poles at 50 1/s
     for g in (0.5 * k1 * k2, 2.0 * k1 * k2):
-        chain = np.array([[-k1, 1.0, 0.0], [-k2, 0.0, -1.0], [g, 0.0, 0.0]])  # of x1^ - x1, x2^ - x2, theta - theta^
+        # of x1^ - x1, x2^ - x2, theta - theta^
+        chain = np.array([[-k1, 1.0, 0.0], [-k2, 0.0, -1.0], [g, 0.0, 0.0]])
         assert (np.linalg.eigvals(chain).real.max() > 0) == (g > k1 * k2)
         assert np.linalg.eigvals([[-k1, -1.0], [g, 0.0]]).real.max() < 0
 
 
-# -- bounds ------------------------------------------------------------------------------------------------------------------
+# -- bounds ----------------------------------------------------------------------------------------
 
 ABUSE = {
     "zero": lambda n, random: np.zeros((3, n)),
@@ -487,7 +587,9 @@ ABUSE = {
 @pytest.mark.parametrize("name", list(ABUSE))
 @pytest.mark.parametrize("method", DIRECT)
 def test_nothing_makes_an_estimate_infinite(method, name):
-    data = dict(zip(("u", "y_theta", "y_v"), ABUSE[name](6000, np.random.default_rng(6)), strict=True))
+    data = dict(
+        zip(("u", "y_theta", "y_v"), ABUSE[name](6000, np.random.default_rng(6)), strict=True)
+    )
     names = ("sigma0", "a0", "a1", "v0") if method == "cao" else SIX
     found, _ = observe(method, data, names)
     assert np.all(np.isfinite(found))

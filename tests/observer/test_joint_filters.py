@@ -1,4 +1,6 @@
-"""The joint filters, the elements side by side and the heuristic for vc: equations, what they find, and what upsets them."""
+"""The joint filters, the elements side by side and the heuristic for vc: equations, what they find,
+and what upsets them.
+"""
 
 from __future__ import annotations
 
@@ -20,35 +22,54 @@ COUNT = 2 * np.pi / 40000  # rad
 SIX = ("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 SET_S = np.array([2.0, 6.5, 600.0, 800.0, 300.0, 150.0])
 SERVO = {"J": 0.001, "b": 0.0065, "a2": 0.002}
-LAWS = {"S": ("modified", {}), "L1": ("lugre", {"lugre.sigma1": 0.02}), "GMS": ("gms", {}), "parallel": ("modified_parallel", {})}
+LAWS = {
+    "S": ("modified", {}),
+    "L1": ("lugre", {"lugre.sigma1": 0.02}),
+    "GMS": ("gms", {}),
+    "parallel": ("modified_parallel", {}),
+}
 BEST = "self_starting_ekf"
 PLACES = ("modified.theta", "modified.v", "modified.w")
 
 
 @cache
 def record(
-    plant: str, seconds: float, order: int = 1, change: float = 0.0, load: float = 2.0, torque: tuple[float, float] = (0.0, 0.0)
+    plant: str,
+    seconds: float,
+    order: int = 1,
+    change: float = 0.0,
+    load: float = 2.0,
+    torque: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, np.ndarray]:
     """Return u, position, velocity and encoder under the reference controller.
 
-    The normal load changes at `change`, if given; `torque`: from when [s] a load torque acts, and how large it is [N.m].
+    The normal load changes at `change`, if given; `torque`: from when [s] a load torque acts, and
+    how large it is [N.m].
     """
     law, parameters = LAWS[plant]
     servo = Instance("plant", Fmu(obtain("plant", law=law)), SERVO | parameters)
-    controller = Instance("controller", Fmu(obtain("controller")), {"seed": 5.0, "order": float(order)})
+    controller = Instance(
+        "controller", Fmu(obtain("controller")), {"seed": 5.0, "order": float(order)}
+    )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     events = ((round(change / STEP), ("plant", "load_scale"), load),) if change else ()
     events += ((round(torque[0] / STEP), ("plant", "tau_load"), torque[1]),)
-    trace = simulate(Bus((servo, controller), round(seconds / STEP), STEP, links, events, record=names))
+    trace = simulate(
+        Bus((servo, controller), round(seconds / STEP), STEP, links, events, record=names)
+    )
     assert trace.failure is None
     data = {port[1]: np.ascontiguousarray(trace[port]) for port in names}
     return data | {"encoder": np.floor(data["theta"] / COUNT) * COUNT}
 
 
-def observed(method: str, data: dict[str, np.ndarray], also=(), encoder=True, **given: float) -> np.ndarray:
+def observed(
+    method: str, data: dict[str, np.ndarray], also=(), encoder=True, **given: float
+) -> np.ndarray:
     """Return the six estimates and other variables for each t_k."""
-    instance = Native(observer_program(method), {f"{method}.{name}": value for name, value in given.items()})
+    instance = Native(
+        observer_program(method), {f"{method}.{name}": value for name, value in given.items()}
+    )
     inputs = {"u": data["u"], "y_theta": data["encoder" if encoder else "theta"], "y_v": data["v"]}
     out, _ = instance.run(STEP, inputs, [*(f"{name}_hat" for name in SIX), *also])
     return out[1:]
@@ -65,25 +86,33 @@ def settled(rows: np.ndarray, true: np.ndarray = SET_S) -> float:
     return (outside[-1] + 1) * STEP if len(outside) else 0.0
 
 
-# -- equations -------------------------------------------------------------------------------------------------------
+# -- equations -------------------------------------------------------------------------------------
 
 
 def stepped(h: float, start: np.ndarray, u: float, tau: float) -> np.ndarray:
     """Return (theta, v, w) after one sample by the filter's equations, for set S."""
-    servo = kalman.Servo(ca.SX(2.0), ca.SX(6.5), [ca.SX(600.0), ca.SX(800.0), ca.SX(300.0)], ca.SX(150.0), ca.SX(tau))
-    return np.array(ca.evalf(kalman.advance(ca.SX(start), servo, servo.push(ca.SX(u)), ca.SX(h)))).ravel()
+    servo = kalman.Servo(
+        ca.SX(2.0), ca.SX(6.5), [ca.SX(600.0), ca.SX(800.0), ca.SX(300.0)], ca.SX(150.0), ca.SX(tau)
+    )
+    return np.array(
+        ca.evalf(kalman.advance(ca.SX(start), servo, servo.push(ca.SX(u)), ca.SX(h)))
+    ).ravel()
 
 
 @pytest.mark.parametrize("tau", [0.0, 0.02])
 def test_the_filter_steps_as_the_plant_does_to_second_order(tau):
-    """The plant is integrated by another method, with error control; halving the sample must make the step's error 8 times less."""
+    """The plant is integrated by another method, with error control; halving the sample must make
+    the step's error 8 times less.
+    """
     program = servo_program("modified", encoder=False)
     for seed in range(6):
         random = np.random.default_rng(seed)
         start, u = random.normal(size=3) * [0.1, 2.0, 3.0], float(random.normal() * 3)
         found = []
         for h in (4e-4, 2e-4):
-            plant = Native(program, {"modified.tau": tau, "u_max": 100.0, "solver.tolerance": 1e-12})
+            plant = Native(
+                program, {"modified.tau": tau, "u_max": 100.0, "solver.tolerance": 1e-12}
+            )
             table = plant.values
             for name, value in zip(PLACES, start, strict=True):
                 table[program.index[name]] = value
@@ -110,14 +139,23 @@ def test_the_prediction_carries_the_covariance_by_the_slope_of_the_step():
     stepped = kalman.sample(symbol[:3], meaning(symbol[3:]), inputs, ca.SX(1e-3))
     whole = ca.Function("f", [symbol], [ca.vertcat(stepped, symbol[3:])])
     slope = np.column_stack(
-        [(np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6 for step in 1e-6 * np.eye(order)]
+        [
+            (np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6
+            for step in 1e-6 * np.eye(order)
+        ]
     )
     moved, new = kalman.predict(meaning, ca.SX(z), ca.SX(covariance), inputs, ca.SX(1e-3))
-    np.testing.assert_allclose(np.array(ca.evalf(moved)).ravel(), np.array(whole(z)).ravel(), rtol=1e-12)
-    np.testing.assert_allclose(np.array(ca.evalf(new)), slope @ covariance @ slope.T, atol=1e-9 * np.abs(covariance).max() + 1e-11)
+    np.testing.assert_allclose(
+        np.array(ca.evalf(moved)).ravel(), np.array(whole(z)).ravel(), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.array(ca.evalf(new)),
+        slope @ covariance @ slope.T,
+        atol=1e-9 * np.abs(covariance).max() + 1e-11,
+    )
 
 
-# -- what they find --------------------------------------------------------------------------------------------------
+# -- what they find --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -125,7 +163,8 @@ def test_it_starts_itself_and_finds_all_six_from_the_encoder(order):
     rows = observed(BEST, record("S", 60.0, order), [f"{BEST}.starts"])
     assert settled(rows) < 10.0
     assert errors(rows)[-1].max() < 0.04
-    assert errors(observed(BEST, record("S", 60.0, order), encoder=False))[-1].max() < 0.01  # one step a sample: 0.02
+    # one step a sample: 0.02
+    assert errors(observed(BEST, record("S", 60.0, order), encoder=False))[-1].max() < 0.01
     assert rows[-1, -1] == 1.0  # one start, and no change seen where nothing changed
 
 
@@ -136,7 +175,9 @@ def test_what_it_starts_from_does_not_matter():
 
 
 def test_it_finds_a_delay_of_the_measurement_and_of_none():
-    """The true delay is known; a filter that takes it as zero is off by percents and says that its estimates do not count."""
+    """The true delay is known; a filter that takes it as zero is off by percents and says that its
+    estimates do not count.
+    """
     data, also = record("S", 30.0), ["delay_hat", "delay_sd", "b_valid"]
     for samples in (0.0, 0.5, 1.0, 2.0):
         time = STEP * (np.arange(len(data["u"])) - samples)
@@ -145,7 +186,9 @@ def test_it_finds_a_delay_of_the_measurement_and_of_none():
         assert rows[-1, 6] == pytest.approx(samples, abs=0.02)
         assert rows[-1, 8] == 1.0
         assert errors(rows)[-1].max() < 0.3
-    deaf = observed(BEST, data | {"encoder": np.floor(late / COUNT) * COUNT}, also, delay_spread=0.0)
+    deaf = observed(
+        BEST, data | {"encoder": np.floor(late / COUNT) * COUNT}, also, delay_spread=0.0
+    )
     assert errors(deaf)[-1].max() > 3.0
     assert deaf[-1, 8] == 0.0
 
@@ -155,7 +198,9 @@ def test_it_finds_a_delay_of_the_measurement_and_of_none():
 def test_a_delay_that_is_declared_costs_no_accuracy(method, samples):
     data = record("S", 30.0)
     steps = np.arange(len(data["u"]))
-    late = data | {"encoder": np.floor(np.interp(steps - samples, steps, data["theta"]) / COUNT) * COUNT}
+    late = data | {
+        "encoder": np.floor(np.interp(steps - samples, steps, data["theta"]) / COUNT) * COUNT
+    }
     program = observer_program(method)
 
     def b_of(signals: dict[str, np.ndarray], delay: float) -> float:
@@ -177,9 +222,15 @@ def test_an_input_that_comes_too_late_is_no_delay_and_makes_nothing_valid():
 
 @pytest.mark.parametrize("share", [0.02, 0.5])
 def test_it_finds_a_constant_load_torque_and_its_step(share):
-    """J v' = b u + tau_load - F - a2 v: the load over the inertia is `share` of Fc = 4 rad/s2, from the start or from 30 s on."""
+    """J v' = b u + tau_load - F - a2 v: the load over the inertia is `share` of Fc = 4 rad/s2, from
+    the start or from 30 s on.
+    """
     for begin in (0.0, 30.0):
-        rows = observed(BEST, record("S", 45.0, torque=(begin, share * 0.004)), ["load_hat", "load_valid", "load_sd"])
+        rows = observed(
+            BEST,
+            record("S", 45.0, torque=(begin, share * 0.004)),
+            ["load_hat", "load_valid", "load_sd"],
+        )
         assert rows[-1, 6] == pytest.approx(4.0 * share, abs=0.002)
         assert rows[-1, 7] == 1.0
         assert abs(rows[-1, 6] - 4.0 * share) < 4 * rows[-1, 8]
@@ -201,21 +252,31 @@ def test_rest_teaches_nothing_and_spoils_nothing():
 
 def test_motion_in_one_direction_makes_nothing_valid():
     time = STEP * np.arange(30_000)
-    data = {"u": 2.0 + 0.5 * np.sin(time), "encoder": np.floor(3 * time / COUNT) * COUNT, "v": np.full(len(time), 3.0)}
+    data = {
+        "u": 2.0 + 0.5 * np.sin(time),
+        "encoder": np.floor(3 * time / COUNT) * COUNT,
+        "v": np.full(len(time), 3.0),
+    }
     rows = observed(BEST, data, [f"{name}_valid" for name in SIX])
     assert not rows[:, 6:].any()
 
 
 def test_an_entry_set_back_to_its_bound_moves_the_others_as_the_covariance_relates_them():
-    """The result is the point of the bound that is nearest in the norm of the inverse covariance; by a solver of its own."""
+    """The result is the point of the bound that is nearest in the norm of the inverse covariance;
+    by a solver of its own.
+    """
     covariance = np.array([[4.0, 1.5, -0.5], [1.5, 2.0, 0.3], [-0.5, 0.3, 1.0]])
     z = np.array([1.0, -2.0, 0.5])
-    found = np.array(ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(0)}, {}))).ravel()
+    found = np.array(
+        ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(0)}, {}))
+    ).ravel()
     inverse = np.linalg.inv(covariance)
     system = np.block([[inverse, np.eye(3)[:, 1:2]], [np.eye(3)[1:2], np.zeros((1, 1))]])
     nearest = np.linalg.solve(system, np.concatenate([inverse @ z, [0.0]]))[:3]
     np.testing.assert_allclose(found, nearest, atol=1e-12)
-    inside = np.array(ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(-3)}, {1: ca.SX(3)}))).ravel()
+    inside = np.array(
+        ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(-3)}, {1: ca.SX(3)}))
+    ).ravel()
     np.testing.assert_array_equal(inside, z)
 
 
@@ -259,7 +320,10 @@ def test_it_finds_bristle_damping_where_there_is_some():
 def test_rest_neither_starts_it_nor_winds_it_up():
     data = record("S", 20.0)
     rest = 20_000
-    still = {name: np.concatenate([values, np.full(rest, values[-1] if name != "u" else 0.0)]) for name, values in data.items()}
+    still = {
+        name: np.concatenate([values, np.full(rest, values[-1] if name != "u" else 0.0)])
+        for name, values in data.items()
+    }
     variances = [f"{BEST}.cov{n * (n + 3) // 2}" for n in range(3, 10)]
     priors = [f"{BEST}.prior{n}" for n in range(3, 10)]
     rows = observed(BEST, still, [*variances, *priors])
@@ -285,11 +349,18 @@ def test_elements_side_by_side_are_found_where_their_distances_are_known():
     names = [f"parallel_elements.fit{i}" for i in range(11)]
     rows = observed("parallel_elements", data, [*names, "Fc_hat"], **c)[:, 6:]
     levels = np.array([4.0, 16 / 3, 2.0])
-    true = [2.0, 6.5, *np.concatenate([share * c[f"c{i}"] * levels for i, share in enumerate((0.4, 0.3, 0.3), start=1)])]
+    true = [
+        2.0,
+        6.5,
+        *np.concatenate(
+            [share * c[f"c{i}"] * levels for i, share in enumerate((0.4, 0.3, 0.3), start=1)]
+        ),
+    ]
     np.testing.assert_allclose(rows[-1, :2], true[:2], rtol=0.01)
     assert rows[-1, -1] == pytest.approx(4.0, rel=0.01)
     stiffness = rows[-1, 2:11].reshape(3, 3) / np.array(list(c.values()))[:, None]
-    np.testing.assert_allclose(stiffness.sum(axis=0), levels, rtol=0.1)  # the levels are better known than who holds them
+    # the levels are better known than who holds them
+    np.testing.assert_allclose(stiffness.sum(axis=0), levels, rtol=0.1)
 
 
 def test_elements_side_by_side_follow_maxwell_slip_better_than_one_alone():
@@ -302,7 +373,9 @@ def test_elements_side_by_side_follow_maxwell_slip_better_than_one_alone():
 
 
 def true_friction(data: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the friction acceleration without the viscous part from the motion itself: b u - alpha2 v - v'."""
+    """Return the friction acceleration without the viscous part from the motion itself: b u -
+    alpha2 v - v'.
+    """
     v = data["v"]
     rate = np.concatenate([np.diff(v), [0.0]]) / STEP
     middle = np.concatenate([(v[1:] + v[:-1]) / 2, v[-1:]])

@@ -1,4 +1,6 @@
-"""What step 2 finds beside the friction parameters, and what it is told: a load torque, and the width of the basis functions."""
+"""What step 2 finds beside the friction parameters, and what it is told: a load torque, and the
+width of the basis functions.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,24 @@ STEP = 1e-3
 COUNT = 2 * np.pi / 40000  # rad
 TRUE = {"sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0}
 KNOWN = (
-    "besancon", "martinez_poznyak", "drem", "swapped_known", "martinez_poznyak_position", "drem_position", "swapped_position",
-    "two_step_martinez", "two_step_drem", "joint_ukf",
-)  # fmt: skip
+    "besancon",
+    "martinez_poznyak",
+    "drem",
+    "swapped_known",
+    "martinez_poznyak_position",
+    "drem_position",
+    "swapped_position",
+    "two_step_martinez",
+    "two_step_drem",
+    "joint_ukf",
+)
 
 
 @cache
 def record(torque: float = 0.0, width: float = 1.0) -> dict[str, np.ndarray]:
-    """Return 60 s of set S under the reference controller, with a load torque [N.m] and a width of the basis functions."""
+    """Return 60 s of set S under the reference controller, with a load torque [N.m] and a width of
+    the basis functions.
+    """
     plant = Instance("plant", Fmu(obtain("plant", law="modified")), {"modified.width": width})
     controller = Instance("controller", Fmu(obtain("controller")), {"seed": 3.0, "order": 2.0})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
@@ -40,10 +52,16 @@ def record(torque: float = 0.0, width: float = 1.0) -> dict[str, np.ndarray]:
 
 def found(method: str, data: dict[str, np.ndarray], **given: float) -> dict[str, float]:
     """Return the last estimates, with alpha2 and b given."""
-    known = {p.name: {"alpha2": 2.0, "b": 6.5}[p.symbol] for p in methods()[method].parameters if "known" in p.description}
+    known = {
+        p.name: {"alpha2": 2.0, "b": 6.5}[p.symbol]
+        for p in methods()[method].parameters
+        if "known" in p.description
+    }
     parameters = known | {f"{method}.{name}": value for name, value in given.items()}
     names = [*TRUE, "load"]
-    out, _ = Native(observer_program(method), parameters).run(STEP, data, [f"{name}_hat" for name in names])
+    out, _ = Native(observer_program(method), parameters).run(
+        STEP, data, [f"{name}_hat" for name in names]
+    )
     return dict(zip(names, out[-1], strict=True))
 
 
@@ -85,11 +103,15 @@ def test_the_width_of_a_plant_moves_centres_and_widths():
     v = np.linspace(-200, 200, 81)
 
     def shapes(width, speed):
-        return np.exp(-((v / (10 * width)) ** 2)), np.exp(-(((speed - 20 * width) / (20 * width)) ** 2))
+        return np.exp(-((v / (10 * width)) ** 2)), np.exp(
+            -(((speed - 20 * width) / (20 * width)) ** 2)
+        )
 
     symbol = ca.SX.sym("v")
     for width in (1.0, 0.5, 3.0):
         for even, speed in ((1.0, np.abs(v)), (0.0, v)):
             ours = ca.Function("phi", [symbol], gaussian(symbol / width, even=even))
-            for mine, theirs in zip(ours(np.deg2rad(v)[None, :]), shapes(width, speed), strict=True):
+            for mine, theirs in zip(
+                ours(np.deg2rad(v)[None, :]), shapes(width, speed), strict=True
+            ):
                 np.testing.assert_allclose(np.array(mine).ravel(), theirs, rtol=1e-12, atol=1e-300)

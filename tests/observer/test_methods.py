@@ -14,21 +14,43 @@ from bristle.observer import estimated, methods, observer_program
 from bristle.plant.servo import servo_program
 
 STEP = 1e-3
-SET_S = {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0}
+SET_S = {
+    "alpha2": 2.0,
+    "b": 6.5,
+    "Fc": 4.0,
+    "sigma0": 600.0,
+    "sigma1": 800.0,
+    "sigma2": 300.0,
+    "c": 150.0,
+}
 STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
 
 
 def test_what_a_method_estimates_is_known_without_a_run() -> None:
     assert estimated("rls") == ["v", "alpha2", "b", "Fc", "load", "delay"]
-    assert estimated("two_step_printed") == ["v", "w", "F", "alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c"]  # never valid
+    # never valid
+    assert estimated("two_step_printed") == [
+        "v",
+        "w",
+        "F",
+        "alpha2",
+        "b",
+        "Fc",
+        "sigma0",
+        "sigma1",
+        "sigma2",
+        "c",
+    ]
     with pytest.raises(BristleError, match="did you mean 'rls'"):
         estimated("rlss")
 
 
 @lru_cache(maxsize=4)
 def record(seconds: float, seed: int = 1) -> dict[str, np.ndarray]:
-    """Let set S track low-pass noise of 120 deg/s under a PI controller with one sample of delay."""
+    """Let set S track low-pass noise of 120 deg/s under a PI controller with one sample of
+    delay.
+    """
     program = servo_program("modified", encoder=False)
     plant, index = Native(program), program.index
     n = int(seconds / STEP)
@@ -51,9 +73,16 @@ def record(seconds: float, seed: int = 1) -> dict[str, np.ndarray]:
     return {"u": u, "y_theta": theta, "y_v": v}
 
 
-def observe(method: str, data: dict[str, np.ndarray], names: tuple[str, ...], parameters: dict[str, float] | None = None):
+def observe(
+    method: str,
+    data: dict[str, np.ndarray],
+    names: tuple[str, ...],
+    parameters: dict[str, float] | None = None,
+):
     """Return estimates, shape (n, len(names)); row k is the estimate for t_k."""
-    out, _ = Native(observer_program(method), parameters).run(STEP, data, [f"{name}_hat" for name in names])
+    out, _ = Native(observer_program(method), parameters).run(
+        STEP, data, [f"{name}_hat" for name in names]
+    )
     return out[1:]
 
 
@@ -88,12 +117,15 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method, names):
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_method_reads_only_its_declared_output(method):
     data = record(5.0)
-    names = ("v", *NORMALISED)  # a gate is proposed only where the input stays; the velocity moves always
+    # a gate is proposed only where the input stays; the velocity moves always
+    names = ("v", *NORMALISED)
     unread = ({"y_v", "y_theta"} - {methods()[method].reads}).pop()
     garbled = data | {unread: np.random.default_rng(0).standard_normal(len(data["u"]))}
     np.testing.assert_array_equal(observe(method, data, names), observe(method, garbled, names))
     read = data | {methods()[method].reads: data[methods()[method].reads] * 1.01 + 0.1}
-    assert not np.array_equal(observe(method, data, names), observe(method, read, names), equal_nan=True)
+    assert not np.array_equal(
+        observe(method, data, names), observe(method, read, names), equal_nan=True
+    )
 
 
 @pytest.mark.sampled(4)
@@ -131,7 +163,9 @@ def test_projection_keeps_sigma0_and_c_positive_under_a_wrong_model():
 
 def test_printed_gains_change_the_estimates_but_do_not_converge():
     data = record(60.0)
-    estimates = observe("two_step_printed", data, ("alpha2", "sigma0", "c"), {"two_step_printed.step2_start": 30.0})
+    estimates = observe(
+        "two_step_printed", data, ("alpha2", "sigma0", "c"), {"two_step_printed.step2_start": 30.0}
+    )
     assert estimates[-1, 0] > 1.2 * SET_S["alpha2"]
     assert np.ptp(estimates[30000:, 2]) > 5.0
     assert abs(estimates[-1, 1]) < 0.1 * SET_S["sigma0"]
@@ -139,15 +173,20 @@ def test_printed_gains_change_the_estimates_but_do_not_converge():
 
 def printed(also, **given):
     """Return outputs and states of the printed scheme over 30 s."""
-    parameters = {f"two_step_printed.{name}": value for name, value in given.items()} | {"two_step_printed.step2_start": 5.0}
-    return Native(observer_program("two_step_printed"), parameters).run(STEP, record(30.0), list(also))[0][1:]
+    parameters = {f"two_step_printed.{name}": value for name, value in given.items()} | {
+        "two_step_printed.step2_start": 5.0
+    }
+    return Native(observer_program("two_step_printed"), parameters).run(
+        STEP, record(30.0), list(also)
+    )[0][1:]
 
 
 def test_what_is_repaired_of_the_printed_scheme_can_be_had_as_printed():
     names = ("sigma1_hat", "sigma2_hat", "alpha2_hat")
     repaired, odd = printed(names), printed(names, even=0.0)
     assert np.ptp(odd[:, 1]) > 0.0
-    assert abs(odd[-1, 1] / repaired[-1, 1] - 1) > 0.2  # the second function, at negative velocities
+    # the second function, at negative velocities
+    assert abs(odd[-1, 1] / repaired[-1, 1] - 1) > 0.2
     np.testing.assert_array_equal(odd[:, 2], repaired[:, 2])
     explicit = printed((*names, "v_hat"), implicit=0.0)
     assert np.all(np.isfinite(explicit))
@@ -156,7 +195,9 @@ def test_what_is_repaired_of_the_printed_scheme_can_be_had_as_printed():
 
 def test_at_gate_entry_the_printed_scheme_starts_from_the_gate():
     v = np.rad2deg(record(30.0)["y_v"])
-    entries = 1 + np.flatnonzero((np.abs(v[1:-1]) > 50) & (np.abs(v[:-2]) <= 50) & (np.abs(v[2:]) > 50))
+    entries = 1 + np.flatnonzero(
+        (np.abs(v[1:-1]) > 50) & (np.abs(v[:-2]) <= 50) & (np.abs(v[2:]) > 50)
+    )
     states = ["two_step_printed.step1_v", *(f"two_step_printed.step1_{name}" for name in STEP1)]
     for measured in (1.0, 0.0):
         rows = printed(states, measured_entry=measured)
@@ -165,7 +206,9 @@ def test_at_gate_entry_the_printed_scheme_starts_from_the_gate():
             u, sign = np.rad2deg(record(30.0)["u"][k]), np.sign(v[k])
             begun = v[k] if measured else 50 * sign
             predicted = begun + STEP * (b * u - alpha2 * (v[k] + v[k + 1]) / 2 - friction * sign)
-            assert rows[k + 1, 0] == pytest.approx(v[k + 1] - np.exp(-0.1) * (v[k + 1] - predicted), rel=1e-4)
+            assert rows[k + 1, 0] == pytest.approx(
+                v[k + 1] - np.exp(-0.1) * (v[k + 1] - predicted), rel=1e-4
+            )
 
 
 def test_convergence_measure_falls_as_the_estimates_settle():

@@ -1,4 +1,6 @@
-"""What observers say of a long rest, of an input that does nothing, and of a plant that their model is not: not valid, or right."""
+"""What observers say of a long rest, of an input that does nothing, and of a plant that their model
+is not: not valid, or right.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +23,32 @@ Record = dict[str, np.ndarray]
 
 
 @cache
-def record(seconds: float, moves: tuple[tuple[float, float], ...], effect: str = "", **given: float) -> Record:
-    """Return set S under the reference controller; `moves`: from when [s] at which scale, `load`: torque [N.m] from 28 s on."""
+def record(
+    seconds: float, moves: tuple[tuple[float, float], ...], effect: str = "", **given: float
+) -> Record:
+    """Return set S under the reference controller; `moves`: from when [s] at which scale, `load`:
+    torque [N.m] from 28 s on.
+    """
     load = given.pop("load", 0.0)
     parameters = {name.replace("__", "."): value for name, value in given.items()}
-    plant = Instance("plant", Fmu(obtain("plant", law="modified", effects=[effect] if effect else ())), parameters)
+    plant = Instance(
+        "plant",
+        Fmu(obtain("plant", law="modified", effects=[effect] if effect else ())),
+        parameters,
+    )
     controller = Instance("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": 1.0})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     events = [(round(t / STEP), ("controller", "reference_scale"), scale) for t, scale in moves]
     events += [(28_000, ("plant", "tau_load"), load)] if load else []
-    bus = Bus((plant, controller), round(seconds / STEP), STEP, links, tuple(sorted(events, key=lambda e: e[0])), record=names)
+    bus = Bus(
+        (plant, controller),
+        round(seconds / STEP),
+        STEP,
+        links,
+        tuple(sorted(events, key=lambda e: e[0])),
+        record=names,
+    )
     trace = simulate(bus)
     assert trace.failure is None
     u, theta, v = (np.ascontiguousarray(trace[port]) for port in names)
@@ -40,7 +57,9 @@ def record(seconds: float, moves: tuple[tuple[float, float], ...], effect: str =
 
 def observed(method: str, data: Record, **given: float) -> dict[str, np.ndarray]:
     """Return what a method says of the parameters over time, and `adapted`."""
-    known = {p.name: TRUE[p.symbol] for p in methods()[method].parameters if "known" in p.description}
+    known = {
+        p.name: TRUE[p.symbol] for p in methods()[method].parameters if "known" in p.description
+    }
     names = [*(f"{name}_{what}" for what in ("hat", "sd", "valid") for name in ASKED), "adapted"]
     parameters = known | {f"{method}.{name}": value for name, value in given.items()}
     out, _ = Native(observer_program(method), parameters).run(STEP, data, names)
@@ -67,7 +86,9 @@ def test_a_rest_forgets_nothing(method):
     found = observed(method, data)
     before, after = round(29.0 / STEP), round(49.9 / STEP)
     for name in ("alpha2", "b", "sigma0", "c"):
-        assert found[f"{name}_sd"][after] == pytest.approx(found[f"{name}_sd"][before], rel=0.05), name
+        assert found[f"{name}_sd"][after] == pytest.approx(found[f"{name}_sd"][before], rel=0.05), (
+            name
+        )
 
 
 def test_a_filter_that_waits_for_motion_starts_from_it():
@@ -112,7 +133,8 @@ def test_without_an_input_neither_its_gain_nor_its_delay_is_known(method):
 def test_a_delay_below_zero_is_not_valid():
     found = observed("swapped", record(30.0, ((0.0, 1.0),)))
     data = record(30.0, ((0.0, 1.0),))
-    early = observed("swapped", data | {"u": np.concatenate([np.zeros(1), data["u"][:-1]])})  # the input comes a sample too late
+    # the input comes a sample too late
+    early = observed("swapped", data | {"u": np.concatenate([np.zeros(1), data["u"][:-1]])})
     assert found["delay_valid"][-1]
     assert early["delay_hat"][-1] == pytest.approx(-1.0, abs=0.1)
     assert not early["delay_valid"][-1]

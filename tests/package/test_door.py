@@ -1,4 +1,6 @@
-"""The public functions: the same answers as the commands, from paths or loaded objects, and a fast import."""
+"""The public functions: the same answers as the commands, from paths or loaded objects, and a fast
+import.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +24,23 @@ DATA = [HIDDEN / "a.npz", HIDDEN / "b.npz"]
 
 @pytest.fixture
 def wrong_unit(tmp_path: Path) -> Path:
-    """A model file whose input unit is a thousand times too small: the diagnosis ends at once and proposes another unit."""
+    """A model file whose input unit is a thousand times too small: the diagnosis ends at once and
+    proposes another unit.
+    """
     path = tmp_path / "model.toml"
-    path.write_text((HIDDEN / "model.toml").read_text(encoding="utf-8").replace('"N.m"', '"mN.m"'), encoding="utf-8")
+    path.write_text(
+        (HIDDEN / "model.toml").read_text(encoding="utf-8").replace('"N.m"', '"mN.m"'),
+        encoding="utf-8",
+    )
     return path
 
 
 def test_the_import_is_light():
     """Nothing but exceptions and checks of arguments is imported before it is needed."""
-    code = "import sys; before = {*sys.modules}; import bristle; print(*sorted({*sys.modules} - before))"
+    code = (
+        "import sys; before = {*sys.modules}; import bristle; print(*sorted({*sys.modules} -"
+        " before))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = done.stdout.split()
     own = {name for name in loaded if name.split(".")[0] == "bristle"}
@@ -42,7 +52,9 @@ def test_the_import_is_light():
 def test_the_version_is_that_of_the_project_and_of_the_command():
     import tomllib
 
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     assert bristle.__version__ == version
     command = [sys.executable, "-m", "bristle.cli.main", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -59,7 +71,8 @@ def test_every_public_name_is_there():
 
 def test_sub_packages_keep_their_names():
     code = (
-        "import bristle, bristle.diagnosis, bristle.records, bristle.harness.run; print(callable(bristle.run), bristle.diagnosis)"
+        "import bristle, bristle.diagnosis, bristle.records, bristle.harness.run;"
+        " print(callable(bristle.run), bristle.diagnosis)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("True <module 'bristle.diagnosis'")
@@ -85,7 +98,9 @@ def test_a_scenario_runs_and_its_result_is_what_was_written(case, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_overrides_replace_values_of_the_file(case, tmp_path):
-    text = bristle.run(case, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"})
+    text = bristle.run(
+        case, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"}
+    )
     with pytest.raises(bristle.BristleError, match="has no unit"):
         bristle.run(case, tmp_path / "b", overrides={"plant.parameters.J": 0.002})
     plain = bristle.run(case, tmp_path / "c", overrides={"duration": "0.5 s"})
@@ -120,7 +135,10 @@ def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
     by_path = bristle.diagnose(wrong_unit, DATA, tmp_path / "out")
     assert by_path.verdict == "not_identifiable"
     assert "mN.m" in by_path.proposals[0]
-    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == "not_identifiable"
+    assert (
+        json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"]
+        == "not_identifiable"
+    )
     model = bristle.load_model(wrong_unit)
     records = bristle.load_records(wrong_unit, DATA)
     seen = []
@@ -160,13 +178,17 @@ def test_data_of_a_wrong_type_are_refused(wrong_unit, message, data, part):
         ({"out": None}, "out is None; give a path"),
     ],
 )
-def test_a_wrong_argument_of_run_is_one_line_that_names_it(case, tmp_path, message, arguments, named):
+def test_a_wrong_argument_of_run_is_one_line_that_names_it(
+    case, tmp_path, message, arguments, named
+):
     given = {"scenario": case, "out": tmp_path / "out"} | arguments
     assert named in message(lambda: bristle.run(**given))
 
 
 def test_numbers_of_numpy_are_whole_numbers_and_name_a_seed(case, tmp_path):
-    assert bristle.run(case, tmp_path, seed=np.int64(3)).data["overrides"] == ["controller.parameters.seed=3"]
+    assert bristle.run(case, tmp_path, seed=np.int64(3)).data["overrides"] == [
+        "controller.parameters.seed=3"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -183,21 +205,30 @@ def test_numbers_of_numpy_are_whole_numbers_and_name_a_seed(case, tmp_path):
     ],
 )
 def test_a_wrong_argument_of_build_is_one_line_that_names_it(tmp_path, message, arguments, named):
-    assert named in message(lambda: bristle.build(**({"part": "controller", "out": tmp_path} | arguments)))
+    assert named in message(
+        lambda: bristle.build(**({"part": "controller", "out": tmp_path} | arguments))
+    )
 
 
 def test_effects_join_a_plant_that_is_built_and_one_of_a_scenario(case, tmp_path):
     path = bristle.build("plant", tmp_path, law="coulomb", effects=["cogging", "bias"])
     assert path.name == "ServoPlant_coulomb_bias_cogging.fmu"
-    plain, biased = (bristle.run(case, tmp_path, overrides={"plant.effects": names}) for names in ([], ["bias"]))
+    plain, biased = (
+        bristle.run(case, tmp_path, overrides={"plant.effects": names}) for names in ([], ["bias"])
+    )
     assert plain.data["estimates"] != biased.data["estimates"]
 
 
 def test_records_are_no_files(wrong_unit, message):
     [record] = bristle.load_records(wrong_unit, DATA[0])
-    assert message(lambda: bristle.load_records(wrong_unit, [record])) == "files[0] is a Record; give a path, as text or Path"
+    assert (
+        message(lambda: bristle.load_records(wrong_unit, [record]))
+        == "files[0] is a Record; give a path, as text or Path"
+    )
     assert "model is a int" in message(lambda: bristle.load_model(3))
-    assert "the model (TOML) comes first" in message(lambda: bristle.load_record(DATA[0], wrong_unit))
+    assert "the model (TOML) comes first" in message(
+        lambda: bristle.load_record(DATA[0], wrong_unit)
+    )
 
 
 def test_arrays_become_the_records_of_a_file(wrong_unit):
@@ -209,12 +240,26 @@ def test_arrays_become_the_records_of_a_file(wrong_unit):
 
 def test_no_error_of_the_library_speaks_of_options_of_the_command_line():
     """Whoever calls a function has none; the command line alone may name them."""
-    rooms = ("common", "model", "plant", "observer", "records", "fmus", "harness", "diagnosis", "package")
+    rooms = (
+        "common",
+        "model",
+        "plant",
+        "observer",
+        "records",
+        "fmus",
+        "harness",
+        "diagnosis",
+        "package",
+    )
     option, found = re.compile(r"(?<![\w-])--[a-z]"), []
     for path in (path for room in rooms for path in (ROOT / room).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and "rror" in ast.unparse(node.func):
-                found += [f"{path}:{node.lineno}" for text in map(ast.unparse, node.args) if option.search(text)]
+                found += [
+                    f"{path}:{node.lineno}"
+                    for text in map(ast.unparse, node.args)
+                    if option.search(text)
+                ]
     assert not found
 
 

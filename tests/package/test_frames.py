@@ -61,11 +61,15 @@ def test_without_the_extra_the_error_says_how_to_get_it(result, monkeypatch, mes
 
 
 def test_an_unknown_table_is_refused(result, message):
-    assert message(lambda: result.to_pandas("honey")).startswith("table is 'honey'; choose one of: 'signals'")
+    assert message(lambda: result.to_pandas("honey")).startswith(
+        "table is 'honey'; choose one of: 'signals'"
+    )
 
 
 def test_a_notebook_shows_the_verdict_and_every_estimate(result):
-    page = xml.etree.ElementTree.fromstring(f"<div>{result._repr_html_().replace('<wbr>', '')}</div>")
+    page = xml.etree.ElementTree.fromstring(
+        f"<div>{result._repr_html_().replace('<wbr>', '')}</div>"
+    )
     texts = [cell.text for cell in page.iter("td")]
     assert {*result.estimates} <= {*texts}
     assert next(page.iter("b")).text == "quick: fail"
@@ -74,15 +78,25 @@ def test_a_notebook_shows_the_verdict_and_every_estimate(result):
 
 
 def test_a_name_with_marks_of_html_is_text(result, tmp_path):
-    data = {**result.data, "checks": [{"name": "a < b & c", "kind": "max", "value": None, "limit": 1.0, "pass": False}]}
+    data = {
+        **result.data,
+        "checks": [
+            {"name": "a < b & c", "kind": "max", "value": None, "limit": 1.0, "pass": False}
+        ],
+    }
     assert "<td>a &lt; b &amp; c</td>" in bristle.Result(data, tmp_path)._repr_html_()
 
 
 def test_a_notebook_shows_what_a_diagnosis_says(tmp_path):
     model = tmp_path / "model.toml"
-    model.write_text((HIDDEN / "model.toml").read_text(encoding="utf-8").replace('"N.m"', '"mN.m"'), encoding="utf-8")
+    model.write_text(
+        (HIDDEN / "model.toml").read_text(encoding="utf-8").replace('"N.m"', '"mN.m"'),
+        encoding="utf-8",
+    )
     found = bristle.diagnose(model, [HIDDEN / "a.npz", HIDDEN / "b.npz"])
     shown = found._repr_html_()
     assert "(not identifiable)" in shown
-    assert all(sentence.partition("'")[0].partition("<")[0] in shown for sentence in found.statement)
+    assert all(
+        sentence.partition("'")[0].partition("<")[0] in shown for sentence in found.statement
+    )
     assert "<table>" not in shown

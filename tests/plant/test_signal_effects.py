@@ -1,4 +1,6 @@
-"""Noise of the input and delay of the measurement, against what they must do to a servo whose solution is known."""
+"""Noise of the input and delay of the measurement, against what they must do to a servo whose
+solution is known.
+"""
 
 import math
 
@@ -30,7 +32,9 @@ def run(effect, law="lugre", record=OUTPUTS, n=400, **parameters):
 def test_a_delay_of_k_samples_shifts_all_outputs_by_k_rows(k, law):
     plain, late = run(None, law), run("measurement_delay", law, samples=float(k))
     columns = slice(None) if k else [0, 1, 3, 4]
-    np.testing.assert_allclose(late[k + 1 :, columns], plain[1 : len(plain) - k, columns], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        late[k + 1 :, columns], plain[1 : len(plain) - k, columns], rtol=1e-12, atol=1e-13
+    )
     np.testing.assert_array_equal(late[: k + 1, 0], 0.3)
     np.testing.assert_array_equal(late[: k + 1, 1], 0.5)
     assert np.max(np.abs(np.diff(plain[:, 0]))) > 1e-4
@@ -66,7 +70,9 @@ def test_the_noise_reaches_the_servo_and_is_what_the_generator_draws():
     """v(k+1) = e v(k) + (1 - e) (b/a2) (u + n) of a viscous servo gives the noise back."""
     n, sd = 4000, 0.2
     program = servo_program("viscous", encoder=False, effects=("input_noise",))
-    native = Native(program, {"input_noise.sd": sd, "input_noise.seed": 7.0, "solver.tolerance": 1e-11})
+    native = Native(
+        program, {"input_noise.sd": sd, "input_noise.seed": 7.0, "solver.tolerance": 1e-11}
+    )
     record, _ = native.run(H, {"u": np.full(n, 1.5)}, ["v", "viscous.input_noise.random"])
     e = math.exp(-A2 / J * H)
     noise = (record[1:, 0] - e * record[:-1, 0]) / ((1 - e) * B / A2) - 1.5
@@ -80,7 +86,9 @@ def test_the_seed_chooses_the_noise():
     one, again, other = (run("input_noise", seed=seed) for seed in (1.0, 1.0, 2.0))
     np.testing.assert_array_equal(one, again)
     assert np.max(np.abs(one[:, 1] - other[:, 1])) > 1e-3
-    np.testing.assert_allclose(run("input_noise", sd=0.0)[1:], run(None)[1:], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        run("input_noise", sd=0.0)[1:], run(None)[1:], rtol=1e-12, atol=1e-13
+    )
 
 
 def test_the_noise_enters_before_the_limit_of_the_drive():
@@ -96,7 +104,9 @@ def test_a_constant_torque_shifts_the_steady_velocity_by_its_ratio_to_the_viscou
     speeds = []
     for torque in (0.0, 0.003):
         program = servo_program("viscous", effects=("bias",))
-        record, _ = Native(program, {"bias.torque": torque}).run(H, {"u": np.full(15_000, 4.0)}, ["v"])
+        record, _ = Native(program, {"bias.torque": torque}).run(
+            H, {"u": np.full(15_000, 4.0)}, ["v"]
+        )
         speeds.append(record[-1, 0])
     assert speeds[1] - speeds[0] == pytest.approx(0.003 / A2, rel=1e-9)
 
@@ -109,5 +119,7 @@ def test_signal_effects_are_no_part_of_a_diagnosis():
         assert each.name == name
         assert each.without_truth == ()
         assert all(p.name.startswith(f"{name}.") for p in each.parameters)
-    with pytest.raises(BristleError, match=r"unknown effect 'input_nois' \(did you mean 'input_noise'\?\)"):
+    with pytest.raises(
+        BristleError, match=r"unknown effect 'input_nois' \(did you mean 'input_noise'\?\)"
+    ):
         extension("input_nois")

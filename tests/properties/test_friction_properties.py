@@ -1,4 +1,6 @@
-"""What must hold for every input: bounds, symmetry, steady state, dissipativity, change of units."""
+"""What must hold for every input: bounds, symmetry, steady state, dissipativity, change of
+units.
+"""
 
 import math
 from functools import cache
@@ -23,9 +25,14 @@ SEED = st.integers(0, 2**32 - 1)
 
 @cache
 def alone(name):
-    """Return a law whose velocity is the input; `work` is the integral of K(v) v w, where K(v) v is w' + c |v| w."""
+    """Return a law whose velocity is the input; `work` is the integral of K(v) v w, where K(v) v is
+    w' + c |v| w.
+    """
     system, which = System("alone"), law(name)
-    for parameter in (Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7)"), *which.parameters):
+    for parameter in (
+        Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7)"),
+        *which.parameters,
+    ):
         system.parameter(parameter)
     v = system.input(Variable("v", "rad/s", "velocity"))
     own = system.namespace(f"{name}.")
@@ -39,7 +46,11 @@ def alone(name):
     system.rate("mechanical", friction.force * v)
     if name == "modified":
         deg = ca.fabs(v) * 180.0 / math.pi
-        k = own.sigma0 + own.sigma1 * ca.exp(-((deg / 10) ** 2)) + own.sigma2 * ca.exp(-(((deg - 20) / 20) ** 2))
+        k = (
+            own.sigma0
+            + own.sigma1 * ca.exp(-((deg / 10) ** 2))
+            + own.sigma2 * ca.exp(-(((deg - 20) / 20) ** 2))
+        )
         system.rate("work", k * v * own.w)
     else:
         system.rate("work", own.z * v)
@@ -63,16 +74,21 @@ def velocities(seed, size, n=1500):
 
 LUGRE = st.fixed_dictionaries(
     {
-        "lugre.sigma0": st.floats(0.1, 100.0), "lugre.sigma1": st.floats(0.0, 0.05), "lugre.Fc": st.floats(1e-3, 0.02),
-        "lugre.vs": st.floats(0.01, 2.0), "lugre.Fs": st.floats(1.0, 3.0),
+        "lugre.sigma0": st.floats(0.1, 100.0),
+        "lugre.sigma1": st.floats(0.0, 0.05),
+        "lugre.Fc": st.floats(1e-3, 0.02),
+        "lugre.vs": st.floats(0.01, 2.0),
+        "lugre.Fs": st.floats(1.0, 3.0),
     }
-)  # fmt: skip
+)
 MODIFIED = st.fixed_dictionaries(
     {
-        "modified.sigma0": st.floats(50.0, 2000.0), "modified.sigma1": st.floats(0.0, 3000.0),
-        "modified.sigma2": st.floats(0.0, 1000.0), "modified.c": st.floats(20.0, 500.0),
+        "modified.sigma0": st.floats(50.0, 2000.0),
+        "modified.sigma1": st.floats(0.0, 3000.0),
+        "modified.sigma2": st.floats(0.0, 1000.0),
+        "modified.c": st.floats(20.0, 500.0),
     }
-)  # fmt: skip
+)
 SIZE = st.floats(1e-3, 20.0)
 
 
@@ -99,18 +115,29 @@ def surplus(values, v, viscous, h=H):
     """Return int F v - sigma0 z^2/2, with viscous friction sigma2 v in F, at each sample."""
     record, _ = Native(alone("lugre"), values).run(h, {"v": v}, ["alone.z", "mechanical_out"])
     z, energy = record.T
-    return energy + viscous * np.concatenate([[0.0], np.cumsum(v**2 * h)]) - values["lugre.sigma0"] * z**2 / 2
+    return (
+        energy
+        + viscous * np.concatenate([[0.0], np.cumsum(v**2 * h)])
+        - values["lugre.sigma0"] * z**2 / 2
+    )
 
 
 @FEW
 @given(LUGRE, SEED, SIZE, st.floats(1.0, 5.0))
-def test_lugre_takes_energy_where_viscous_friction_outweighs_the_bristles_damping(values, seed, size, factor):
+def test_lugre_takes_energy_where_viscous_friction_outweighs_the_bristles_damping(
+    values, seed, size, factor
+):
     """int F v >= d(sigma0 z^2/2) for sigma2 >= sigma1 (Fs - Fc)/Fc.
 
     Source: barabanov2000.
     """
     values, v = lugre(values), velocities(seed, size)
-    viscous = factor * values["lugre.sigma1"] * (values["lugre.Fs"] - values["lugre.Fc"]) / values["lugre.Fc"]
+    viscous = (
+        factor
+        * values["lugre.sigma1"]
+        * (values["lugre.Fs"] - values["lugre.Fc"])
+        / values["lugre.Fc"]
+    )
     found = surplus(values, v, viscous)
     assert np.all(np.diff(found) >= -1e-6 * values["lugre.Fs"] ** 2 / values["lugre.sigma0"])
     assert found[-1] > 0.0
@@ -118,8 +145,16 @@ def test_lugre_takes_energy_where_viscous_friction_outweighs_the_bristles_dampin
 
 @pytest.mark.parametrize(("viscous", "passive"), [(0.4, False), (158.2, True)])
 def test_set_t_gives_energy_back(viscous, passive):
-    """Set T has sigma2 = 0.4 N.s/m where 158 would be needed: bent at rest and pulled on, its bristles push."""
-    values = {"lugre.sigma0": 1e5, "lugre.sigma1": math.sqrt(1e5), "lugre.Fc": 1.0, "lugre.Fs": 1.5, "lugre.vs": 1e-3}
+    """Set T has sigma2 = 0.4 N.s/m where 158 would be needed: bent at rest and pulled on, its
+    bristles push.
+    """
+    values = {
+        "lugre.sigma0": 1e5,
+        "lugre.sigma1": math.sqrt(1e5),
+        "lugre.Fc": 1.0,
+        "lugre.Fs": 1.5,
+        "lugre.vs": 1e-3,
+    }
     rest = surplus(values, np.full(2000, 1e-5), viscous, 1e-2)
     assert rest[-1] - rest[0] > 0.0
     v = np.concatenate([np.full(20_000, 1e-5), np.full(300, 0.1)])
@@ -145,7 +180,11 @@ def test_modified_friction_is_bounded_and_dissipative(values, seed, size):
 
 
 @FEW
-@given(st.sampled_from(["lugre", "modified", "modified_polynomial", "coulomb", "viscous"]), SEED, st.floats(0.2, 20.0))
+@given(
+    st.sampled_from(["lugre", "modified", "modified_polynomial", "coulomb", "viscous"]),
+    SEED,
+    st.floats(0.2, 20.0),
+)
 def test_odd_symmetry_to_the_last_bit(name, seed, size):
     rng = np.random.default_rng(seed)
     u = size * np.cumsum(rng.normal(size=800)) * 0.05
@@ -191,7 +230,8 @@ def test_results_do_not_depend_on_the_unit_of_angle(values, seed, size):
     radian, _ = Native(servo("lugre"), values | tolerance).run(H, {"u": u}, ["theta", "v", "F"])
     # torque stays N.m: stiffness, damping and inertia are per degree, speeds in degrees
     scaled = {"J": 0.001 / d, "a2": 0.002 / d} | {
-        name: x * {"sigma0": 1 / d, "sigma1": 1 / d, "vs": d}.get(name.split(".")[1], 1.0) for name, x in values.items()
+        name: x * {"sigma0": 1 / d, "sigma1": 1 / d, "vs": d}.get(name.split(".")[1], 1.0)
+        for name, x in values.items()
     }
     degree, _ = Native(servo("lugre"), scaled | tolerance).run(H, {"u": u}, ["theta", "v", "F"])
     size = np.max(np.abs(radian), axis=0)
@@ -204,7 +244,9 @@ def test_modified_sigmas_do_not_change_with_the_unit_of_torque(values, seed, siz
     """In mN.m only J, b and a2 change: sigma_i and c are friction over inertia."""
     u = size * np.repeat(np.random.default_rng(seed).normal(size=20), 40)
     newton, _ = Native(servo("modified"), values).run(H, {"u": u}, ["theta", "v", "F"])
-    milli, _ = Native(servo("modified"), values | {"J": 1.0, "b": 6.5, "a2": 2.0}).run(H, {"u": u}, ["theta", "v", "F"])
+    milli, _ = Native(servo("modified"), values | {"J": 1.0, "b": 6.5, "a2": 2.0}).run(
+        H, {"u": u}, ["theta", "v", "F"]
+    )
     size = np.max(np.abs(newton), axis=0)
     assert np.all(np.abs(milli / [1.0, 1.0, 1000.0] - newton) <= 1e-8 * size)
 
@@ -215,25 +257,37 @@ def cycle_energy(w1, slow, fast):
     times, v = [], []
     for speed, start, end in ((slow, 0.0, w1), (-fast, w1, 0.0)):
         deg = math.degrees(abs(speed))
-        k = 600.0 + 800.0 * math.exp(-((deg / 10) ** 2)) + 300.0 * math.exp(-(((deg - 20) / 20) ** 2))
+        k = (
+            600.0
+            + 800.0 * math.exp(-((deg / 10) ** 2))
+            + 300.0 * math.exp(-(((deg - 20) / 20) ** 2))
+        )
         goal = math.copysign(k / 150.0, speed)
-        times.append(math.log((start - goal) / (end - goal)) / (150.0 * abs(speed)))  # exponential at constant speed
+        # exponential at constant speed
+        times.append(math.log((start - goal) / (end - goal)) / (150.0 * abs(speed)))
         v.append(speed)
     energy = w = 0.0
     for duration, speed in zip(times, v, strict=True):
-        record, _ = native.run(duration / 50, {"v": np.full(50, speed)}, ["mechanical_out", "alone.w"])
+        record, _ = native.run(
+            duration / 50, {"v": np.full(50, speed)}, ["mechanical_out", "alone.w"]
+        )
         energy, w = record[-1]
     return energy, w
 
 
 def test_remark_4_fails_a_cycle_returns_energy():
-    """Dissipativity of v -> w, claimed in dixit2008 remark 4, does not hold: more comes out than went in."""
+    """Dissipativity of v -> w, claimed in dixit2008 remark 4, does not hold: more comes out than
+    went in.
+    """
     slow, fast = math.radians(0.1), math.radians(60.0)
     energy, w = cycle_energy(0.3, slow, fast)
     assert abs(w) < 1e-8  # the state is back where it began
     assert energy == pytest.approx(-4.05e-8, rel=0.005)
     # as w1 -> 0 the energy tends to J w1^2/2 (1/K_fast - 1/K_slow) < 0
-    k_slow, k_fast = 600 + 800 * math.exp(-1e-4) + 300 * math.exp(-((19.9 / 20) ** 2)), 600 + 300 * math.exp(-4)
+    k_slow, k_fast = (
+        600 + 800 * math.exp(-1e-4) + 300 * math.exp(-((19.9 / 20) ** 2)),
+        600 + 300 * math.exp(-4),
+    )
     ratios = []
     for w1 in (0.3, 0.1, 0.03):
         limit = 0.001 * w1**2 / 2 * (1 / k_slow - 1 / k_fast)

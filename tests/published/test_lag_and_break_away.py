@@ -1,8 +1,9 @@
 """What experiments show of sliding friction, and how much bristle damping takes it away.
 
-Friction lags behind the velocity: it is larger while the speed rises than while it falls (armstrong1994). The force at which motion
-breaks away falls with the rate at which it is applied (dixit2008 section IV-B, canudas1995 Fig. 4). Bristle damping of more than
-the friction level over the speed, sigma1 > N(v)/|v|, turns the lag around.
+Friction lags behind the velocity: it is larger while the speed rises than while it falls
+(armstrong1994). The force at which motion breaks away falls with the rate at which it is applied
+(dixit2008 section IV-B, canudas1995 Fig. 4). Bristle damping of more than the friction level over
+the speed, sigma1 > N(v)/|v|, turns the lag around.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ RATES = (0.005, 0.025, 0.05, 0.1)  # N.m/s
 def alone(name: str) -> Program:
     """A law whose velocity is an input."""
     system, which = System("alone"), law(name)
-    for parameter in (Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7)"), *which.parameters):
+    for parameter in (
+        Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7)"),
+        *which.parameters,
+    ):
         system.parameter(parameter)
     v = system.input(Variable("v", "rad/s", "velocity"))
     own = system.namespace(f"{name}.")
@@ -58,8 +62,12 @@ def servo(name: str) -> Program:
     return servo_program(name, encoder=False)
 
 
-def lag(name: str, hertz: float, amplitude: float = AMPLITUDE, mean: float = MEAN, **parameters: float) -> float:
-    """Friction at the mean speed while it rises less that while it falls, over Fc; the speed is a sine."""
+def lag(
+    name: str, hertz: float, amplitude: float = AMPLITUDE, mean: float = MEAN, **parameters: float
+) -> float:
+    """Friction at the mean speed while it rises less that while it falls, over Fc; the speed is a
+    sine.
+    """
     samples = 1000  # of a period
     h = 1.0 / hertz / samples
     v = mean + amplitude * np.sin(2 * np.pi * hertz * (np.arange(8 * samples) + 0.5) * h)
@@ -69,10 +77,14 @@ def lag(name: str, hertz: float, amplitude: float = AMPLITUDE, mean: float = MEA
 
 
 def break_away(name: str, rate: float, **parameters: float) -> float:
-    """Largest friction under a torque that rises at a rate, before the speed reaches the Stribeck velocity, over Fs."""
+    """Largest friction under a torque that rises at a rate, before the speed reaches the Stribeck
+    velocity, over Fs.
+    """
     h = 1e-4
     torque = rate * h * (np.arange(round(3 * FS / rate / h)) + 0.5)
-    values = {"b": 1.0, "a2": 0.0, "u_max": 1e3} | {f"{name}.{key}": value for key, value in parameters.items()}
+    values = {"b": 1.0, "a2": 0.0, "u_max": 1e3} | {
+        f"{name}.{key}": value for key, value in parameters.items()
+    }
     found, _ = Native(servo(name), values).run(h, {"u": torque}, ["v", "F"])
     return float(np.max(found[: np.argmax(found[:, 0] >= VS) + 1, 1])) / FS
 
@@ -96,22 +108,39 @@ def test_much_bristle_damping_inverts_both(name: str) -> None:
         assert damped[-1] > damped[-2]
 
 
-@pytest.mark.parametrize(("name", "damping", "inverting"), [
-    ("lugre", "sigma1", (FC + (FS - FC) * math.exp(-((MEAN / VS) ** 2))) / MEAN),
-    ("elastoplastic", "sigma1", (FC + (FS - FC) * math.exp(-((MEAN / VS) ** 2))) / MEAN),
-    ("modified", "tau", 1 / (150.0 * MEAN)),
-])  # fmt: skip
-def test_the_lag_turns_around_where_damping_exceeds_level_over_speed(name: str, damping: str, inverting: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "damping", "inverting"),
+    [
+        ("lugre", "sigma1", (FC + (FS - FC) * math.exp(-((MEAN / VS) ** 2))) / MEAN),
+        ("elastoplastic", "sigma1", (FC + (FS - FC) * math.exp(-((MEAN / VS) ** 2))) / MEAN),
+        ("modified", "tau", 1 / (150.0 * MEAN)),
+    ],
+)
+def test_the_lag_turns_around_where_damping_exceeds_level_over_speed(
+    name: str, damping: str, inverting: float
+) -> None:
     """Slow and small changes about a speed: sigma1 = N(v)/v, for the modified law tau = 1/(c v)."""
     small = math.radians(0.5)
-    assert lag(name, 1.0, small, **{damping: 0.9 * inverting}) > 0 > lag(name, 1.0, small, **{damping: 1.1 * inverting})
+    assert (
+        lag(name, 1.0, small, **{damping: 0.9 * inverting})
+        > 0
+        > lag(name, 1.0, small, **{damping: 1.1 * inverting})
+    )
 
 
 def test_the_table_of_the_documentation() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)`(?:, sigma1 = ([\d.]+))? \| ([\d.−]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)`(?:, sigma1 = ([\d.]+))? \| ([\d.−]+) \| ([\d.]+) \| ([\d.]+) \|$",
+        page,
+        re.MULTILINE,
+    )
     assert {name for name, *_ in rows} == {*LAWS}
     for name, sigma1, *cells in rows:
         given = {"sigma1": float(sigma1)} if sigma1 else {}
-        found = [lag(name, 10.0, **given), break_away(name, RATES[0], **given), break_away(name, RATES[-1], **given)]
+        found = [
+            lag(name, 10.0, **given),
+            break_away(name, RATES[0], **given),
+            break_away(name, RATES[-1], **given),
+        ]
         assert [float(cell.replace("−", "-")) for cell in cells] == pytest.approx(found, abs=0.006)

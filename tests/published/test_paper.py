@@ -1,4 +1,6 @@
-"""What dixit2008 says about its model: remark 3's interval of c, and eq. (24) with v where |v| is meant."""
+"""What dixit2008 says about its model: remark 3's interval of c, and eq. (24) with v where |v| is
+meant.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from bristle.harness.fit import Data, LeanModel, fit
 from bristle.harness.loop import Bus, Instance, simulate
 
 H, SECONDS = 1e-3, 40.0
-STIFFNESS, FC, FS, VS = 0.8, 0.004, 0.0072, math.radians(25.0)  # N.m/rad, N.m, N.m, rad/s: a0 = 5 mrad, a1 = 4 mrad
+# N.m/rad, N.m, N.m, rad/s: a0 = 5 mrad, a1 = 4 mrad
+STIFFNESS, FC, FS, VS = 0.8, 0.004, 0.0072, math.radians(25.0)
 A0, A1 = FC / STIFFNESS, (FS - FC) / STIFFNESS
 DAMPING = 0.02  # N.m.s/rad: sigma1 of set L1
 
@@ -21,13 +24,31 @@ DAMPING = 0.02  # N.m.s/rad: sigma1 of set L1
 def lugre_record(damping: float, order: int) -> Data:
     """A record of the original LuGre law under the reference controller."""
     plant = Fmu(obtain("plant"))
-    friction = {"lugre.sigma0": STIFFNESS, "lugre.sigma1": damping, "lugre.Fc": FC, "lugre.Fs": FS, "lugre.vs": VS}
+    friction = {
+        "lugre.sigma0": STIFFNESS,
+        "lugre.sigma1": damping,
+        "lugre.Fc": FC,
+        "lugre.Fs": FS,
+        "lugre.vs": VS,
+    }
     instances = (
-        Instance("plant", plant, {"law": plant.choices("law")["lugre"], "J": 0.001, "b": 0.0065, "a2": 0.002, **friction}),
+        Instance(
+            "plant",
+            plant,
+            {
+                "law": plant.choices("law")["lugre"],
+                "J": 0.001,
+                "b": 0.0065,
+                "a2": 0.002,
+                **friction,
+            },
+        ),
         Instance("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": float(order)}),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
-    trace = simulate(Bus(instances, round(SECONDS / H), H, links, record=(("controller", "u"), ("plant", "v"))))
+    trace = simulate(
+        Bus(instances, round(SECONDS / H), H, links, record=(("controller", "u"), ("plant", "v")))
+    )
     return Data(trace["controller", "u"], trace["plant", "v"], H)
 
 
@@ -55,12 +76,16 @@ def test_remark_3_holds_with_bristle_damping_only_if_the_model_has_some() -> Non
 
 
 def test_equation_24_as_printed_fits_a_stribeck_curve_worse() -> None:
-    """Least squares over +-100 deg/s: v in place of |v| leaves about twice the error, since the curve is even."""
+    """Least squares over +-100 deg/s: v in place of |v| leaves about twice the error, since the
+    curve is even.
+    """
     v = np.linspace(-100.0, 100.0, 2001)
     level = FC + (FS - FC) * np.exp(-((v / 25.0) ** 2))
 
     def left(speed: np.ndarray) -> float:
-        columns = np.column_stack([np.ones_like(v), np.exp(-((v / 10) ** 2)), np.exp(-(((speed - 20) / 20) ** 2))])
+        columns = np.column_stack(
+            [np.ones_like(v), np.exp(-((v / 10) ** 2)), np.exp(-(((speed - 20) / 20) ** 2))]
+        )
         found = np.linalg.lstsq(columns, level, rcond=None)[0]
         return float(np.sqrt(np.mean((columns @ found - level) ** 2)))
 

@@ -1,6 +1,8 @@
-"""A second implementation of LuGre, somebody else's: MuJoCo's motor, in the stick-slip experiment of canudas1995 Fig. 6.
+"""A second implementation of LuGre, somebody else's: MuJoCo's motor, in the stick-slip experiment
+of canudas1995 Fig. 6.
 
-Its bristles are its own code, stepped at a fixed step; only the equations and the parameters of Table I are shared.
+Its bristles are its own code, stepped at a fixed step; only the equations and the parameters of
+Table I are shared.
 """
 
 import math
@@ -47,7 +49,10 @@ def theirs(step):
 def ours():
     """Return the times of slip of our law on the same mass and spring."""
     system, lugre = System("mass"), law("lugre")
-    for parameter in (Parameter("J", "m", "kg", 1.0, 1e-9, 1e6, "mass", "canudas1995 Table I"), *lugre.parameters):
+    for parameter in (
+        Parameter("J", "m", "kg", 1.0, 1e-9, 1e6, "mass", "canudas1995 Table I"),
+        *lugre.parameters,
+    ):
         system.parameter(parameter)
     system.input(Variable("pace", "1", "only counts the steps"))
     x = system.state(State("x", "m", "position", scale=1e-3))
@@ -59,7 +64,9 @@ def ours():
     system.rate("z", friction.rates["z"])
     system.output(Variable("V", "m/s", "velocity"), v)
     values = {"sigma0": SIGMA0, "sigma1": SIGMA1, "Fc": FC, "Fs": FS, "vs": VS}
-    parameters = {f"lugre.{name}": value for name, value in values.items()} | {"solver.tolerance": 1e-10}
+    parameters = {f"lugre.{name}": value for name, value in values.items()} | {
+        "solver.tolerance": 1e-10
+    }
     native = Native(Program("Mass", [system]), parameters)
     record, _ = native.run(1e-4, {"pace": np.zeros(round(SECONDS / 1e-4))}, ["time", "V"])
     return breaks(*record.T)

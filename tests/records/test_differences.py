@@ -1,4 +1,6 @@
-"""Velocities that are differences of an encoder's readings are told from those of a tachometer, and summed to the position."""
+"""Velocities that are differences of an encoder's readings are told from those of a tachometer, and
+summed to the position.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,12 @@ def velocities(y: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_only_the_differences_of_readings_are_taken_for_such() -> None:
     found = {name: are_differences(w, common_step(w)) for name, w in velocities(servo()[2]).items()}
-    assert found == {"encoder": True, "tachometer": False, "coarse converter": False, "central differences": False}
+    assert found == {
+        "encoder": True,
+        "tachometer": False,
+        "coarse converter": False,
+        "central differences": False,
+    }
     assert not are_differences(velocities(servo()[2])["encoder"], None)
     assert not are_differences(np.zeros(100), 1.0)
 
@@ -61,14 +68,20 @@ def test_the_sum_is_the_reading_of_the_encoder_however_few_digits_the_speed_has(
     counts = np.floor(y / COUNT) * COUNT
     speed = velocities(y)["encoder"] * np.pi / 30
     assert np.abs(summed(speed, H) - counts).max() < 0.1 * COUNT
-    [record] = records_from_arrays(layout_of(LayoutTable.model_validate(TREE), "tree"), [("a", t, u, speed)])
+    [record] = records_from_arrays(
+        layout_of(LayoutTable.model_validate(TREE), "tree"), [("a", t, u, speed)]
+    )
     assert record.resolution == pytest.approx(COUNT, rel=1e-5)
     assert np.abs(record.y - counts).max() < 0.1 * COUNT
 
 
 def test_a_layout_of_differences_is_that_of_a_position_and_reads_back() -> None:
     layout = layout_of(LayoutTable.model_validate(TREE), "tree")
-    assert (layout.output_kind, layout.output_unit, layout.columns["output"][1]) == ("position", "rad", "rad/s")
+    assert (layout.output_kind, layout.output_unit, layout.columns["output"][1]) == (
+        "position",
+        "rad",
+        "rad/s",
+    )
     assert layout_lines(layout)[-2:] == ['kind = "velocity"', "differences = true"]
 
 
@@ -81,14 +94,23 @@ def test_a_layout_of_differences_is_that_of_a_position_and_reads_back() -> None:
 )
 def test_what_differences_cannot_be_is_refused(given: dict[str, object], said: str) -> None:
     with pytest.raises(BristleError, match=said):
-        layout_of(LayoutTable.model_validate({**TREE, "output": {**TREE["output"], **given}}), "tree")
+        layout_of(
+            LayoutTable.model_validate({**TREE, "output": {**TREE["output"], **given}}), "tree"
+        )
 
 
 @pytest.mark.parametrize(("sensor", "is_sum"), [("encoder", True), ("tachometer", False)])
 def test_a_proposal_says_which_it_is(sensor: str, is_sum: bool, tmp_path: Path) -> None:
     t, u, y = servo()
     table = np.column_stack([t, u, velocities(y)[sensor]])
-    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t [s],torque [Nm],speed [rpm]", comments="", fmt="%.6f")
+    np.savetxt(
+        tmp_path / "a.csv",
+        table,
+        delimiter=",",
+        header="t [s],torque [Nm],speed [rpm]",
+        comments="",
+        fmt="%.6f",
+    )
     found = propose(tmp_path / "a.csv")
     assert found.differences is is_sum
     assert ("differences = true" in model_text(found, "")) is is_sum

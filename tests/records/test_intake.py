@@ -1,4 +1,6 @@
-"""Records: what is wrong with one is repaired and reported, or the record is refused in one line."""
+"""Records: what is wrong with one is repaired and reported, or the record is refused in one
+line.
+"""
 
 import subprocess
 import sys
@@ -15,7 +17,9 @@ from bristle.records.intake import must_show
 from bristle.records.layout import LayoutTable, layout_of
 from bristle.records.resolution import common_step
 
-NEEDS = Requirements(samples=200, duration=2.0, shortest_period=1e-5, longest_period=0.1, identification=True)
+NEEDS = Requirements(
+    samples=200, duration=2.0, shortest_period=1e-5, longest_period=0.1, identification=True
+)
 read_records = partial(records.read_records, needs=NEEDS)
 records_from_arrays = partial(records.records_from_arrays, needs=NEEDS)
 H = 1e-3
@@ -69,7 +73,9 @@ def one(layout, t, u, y):
 
 def said(record):
     """Return the findings, but for that on the steps of the output."""
-    return tuple(line for line in record.findings if not line.startswith("the output moves in steps"))
+    return tuple(
+        line for line in record.findings if not line.startswith("the output moves in steps")
+    )
 
 
 def only(record, *words):
@@ -81,7 +87,7 @@ def only(record, *words):
         assert word in line, line
 
 
-# -- what is right stays as it is ----------------------------------------------------------------------------------------
+# -- what is right stays as it is ------------------------------------------------------------------
 
 
 def test_a_good_record_is_not_touched(layout):
@@ -109,7 +115,14 @@ def test_files_in_their_own_units(tree, tmp_path):
     for folder, (t, u, y) in runs.items():
         (tmp_path / folder).mkdir()
         table = np.column_stack([t * 1e3, -u * 1e3, np.floor(y / STEP)])
-        np.savetxt(tmp_path / folder / "run.csv", table, delimiter=",", header="t,u,theta", comments="", fmt="%.12g")
+        np.savetxt(
+            tmp_path / folder / "run.csv",
+            table,
+            delimiter=",",
+            header="t,u,theta",
+            comments="",
+            fmt="%.12g",
+        )
     records = read_records(layout, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
     assert [r.name for r in records] == ["one/run", "two/run"]
     for record, (_, u, y) in zip(records, runs.values(), strict=True):
@@ -129,7 +142,9 @@ def test_records_that_share_a_name_keep_their_folders(layout, tmp_path):
         if path.suffix == ".npz":
             np.savez(path, t=t, u=u, theta=theta)
         else:
-            np.savetxt(path, np.column_stack([t, u, theta]), delimiter=",", header="t,u,theta", comments="")
+            np.savetxt(
+                path, np.column_stack([t, u, theta]), delimiter=",", header="t,u,theta", comments=""
+            )
     names = [record.name for record in read_records(layout, [tmp_path / place for place in places])]
     assert names == ["a/rig/run", "b/rig/run", "a/run", "rest.csv", "rest.npz"]
 
@@ -142,7 +157,7 @@ def test_a_velocity_is_neither_unwrapped_nor_mistaken(tree):
     np.testing.assert_array_equal(record.y, v)
 
 
-# -- time ------------------------------------------------------------------------------------------------------------------
+# -- time ------------------------------------------------------------------------------------------
 
 
 def test_jitter_is_interpolated_away(layout):
@@ -155,7 +170,8 @@ def test_jitter_is_interpolated_away(layout):
     assert record.resampled
     np.testing.assert_allclose(np.diff(record.time), record.h, rtol=1e-9)
     np.testing.assert_allclose(record.y, np.sin(3 * record.time), atol=2e-4)
-    middle = record.time + record.h / 2  # the input is held: u[k] stands for what lay in the interval after it
+    # the input is held: u[k] stands for what lay in the interval after it
+    middle = record.time + record.h / 2
     held = 0.3 * np.sin(2 * (middle - h / 2))
     np.testing.assert_allclose(record.u[5:-5], held[5:-5], atol=3e-3)
 
@@ -187,7 +203,9 @@ def test_a_gap_cuts_the_record(layout):
     assert (first.name, second.name) == ("run[1]", "run[2]")
     assert len(first) == 4000
     assert second.time[0] == pytest.approx(4.1)
-    assert any("gaps in time: 2" in line and "0.101 s after 3.999 s" in line for line in first.findings)
+    assert any(
+        "gaps in time: 2" in line and "0.101 s after 3.999 s" in line for line in first.findings
+    )
     assert any("run[3] left out: only 0.949 s" in line for line in first.findings)
     np.testing.assert_array_equal(second.y, y[4100:8000])
 
@@ -218,8 +236,11 @@ def test_time_of_the_day_is_counted_from_the_first_record(layout):
     assert records[0].time[0] == 0.0
     assert records[1].time[0] == pytest.approx(60.0)
     assert "counted from the first record" in records[0].findings[0]
-    logger = records_from_arrays(layout, [("a", t + 500, u, y), ("b", t + 560, u, y), ("c", t, u, -y)])
-    assert [record.time[0] for record in logger] == pytest.approx([0.0, 60.0, 0.0])  # the last has a clock of its own
+    logger = records_from_arrays(
+        layout, [("a", t + 500, u, y), ("b", t + 560, u, y), ("c", t, u, -y)]
+    )
+    # the last has a clock of its own
+    assert [record.time[0] for record in logger] == pytest.approx([0.0, 60.0, 0.0])
     mixed = records_from_arrays(layout, [("a", t, u, y), ("b", t + start, u, y)])
     assert [record.time[0] for record in mixed] == pytest.approx([0.0, 0.0])
     later = records_from_arrays(layout, [("a", t, u, y), ("b", t + 60, u, y)])
@@ -236,7 +257,9 @@ def test_records_of_different_rates_get_the_coarser(layout):
     assert other.findings == ()
     np.testing.assert_array_equal(other.y, slow[2])
     np.testing.assert_allclose(fast.y, slow[2][: len(fast)], atol=1e-6)
-    np.testing.assert_allclose(fast.u[:-1], u.reshape(-1, 4).mean(axis=1)[: len(fast) - 1], atol=1e-12)
+    np.testing.assert_allclose(
+        fast.u[:-1], u.reshape(-1, 4).mean(axis=1)[: len(fast) - 1], atol=1e-12
+    )
 
 
 def test_nearly_the_same_rate_is_the_same(layout):
@@ -251,27 +274,46 @@ def test_nearly_the_same_rate_is_the_same(layout):
     ("change", "words"),
     [
         (lambda t, u, y: (t[:150], u[:150], y[:150]), ["150 samples", "at least 200"]),
-        (lambda t, u, y: (t[:900], u[:900], y[:900]), ["lasts 0.899 s", "at least 2 s", "[time] unit"]),
+        (
+            lambda t, u, y: (t[:900], u[:900], y[:900]),
+            ["lasts 0.899 s", "at least 2 s", "[time] unit"],
+        ),
         (lambda t, u, y: (t * 1000, u, y), ["sampled every 1 s", "[time] unit", "ms"]),
         (lambda t, u, y: (t / 1000, u, y), ["sampled every 1e-06 s", "[time] unit"]),
         (lambda t, u, y: (t / 101, u, y), ["sampled every 9.90099e-06 s; allowed are 1e-05"]),
-        (lambda t, u, y: (t / 100, u, y), ["lasts 0.05999 s", "[time] unit"]),  # 1e-5 s, as far as a float can tell
+        # 1e-5 s, as far as a float can tell
+        (lambda t, u, y: (t / 100, u, y), ["lasts 0.05999 s", "[time] unit"]),
         (lambda t, u, y: (t[::-1], u, y), ["decreases at sample 1", "sort"]),
-        (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["decreases at sample 3001", "two runs"]),
+        (
+            lambda t, u, y: (np.where(t > 3, t - 3, t), u, y),
+            ["decreases at sample 3001", "two runs"],
+        ),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
-        (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
+        (
+            lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y),
+            ["scatter by 63%", "steady clock"],
+        ),
         (
             lambda t, u, y: (t, holes(u, range(71, 77)), y),
             ["input is not finite at 6 of 6000 samples (first at sample 71, at most 6 in a"],
         ),
-        (lambda t, u, y: (t, u, holes(y, range(72, N - 1, 40))), ["output is not finite at 149", "2% in all are interpolated"]),
+        (
+            lambda t, u, y: (t, u, holes(y, range(72, N - 1, 40))),
+            ["output is not finite at 149", "2% in all are interpolated"],
+        ),
         (lambda t, u, y: (t, u, y * np.nan), ["no sample is finite"]),
         (lambda t, u, y: (t, 0 * u + 0.2, y), ["input is constant (0.2 N.m)", "[input] column"]),
         (lambda t, u, y: (t, u, 0 * y + 3.0), ["nothing moves", "[output] column"]),
         (lambda t, u, y: (t, u, counts(1e-3 * y, 5e-3)), ["nothing moves", "resolution"]),
         (lambda t, u, y: (t, u[:-1], y), ["different length", "input 5999"]),
-        (lambda t, u, y: (t, u, 1e300 * y), ["output reaches 6.6", "e+300 rad, allowed 1e-30 to 1e+30"]),
-        (lambda t, u, y: (t, 1e-300 * u, y), ["input reaches", "e-301 N.m, allowed 1e-30 to 1e+30"]),
+        (
+            lambda t, u, y: (t, u, 1e300 * y),
+            ["output reaches 6.6", "e+300 rad, allowed 1e-30 to 1e+30"],
+        ),
+        (
+            lambda t, u, y: (t, 1e-300 * u, y),
+            ["input reaches", "e-301 N.m, allowed 1e-30 to 1e+30"],
+        ),
         (lambda t, u, y: (t, 1e300 * u, y), ["input reaches", "e+299 N.m", "check its column"]),
         (lambda t, u, y: (t, u, np.column_stack([y, y])), ["output has shape (6000, 2)"]),
         (lambda t, u, y: (t, u, ["fast"] * N), ["output is not an array of numbers"]),
@@ -292,7 +334,9 @@ RNG = np.random.default_rng(5)
 WHITE = RNG.standard_normal(N)
 
 
-@pytest.mark.parametrize("noise", [1e-4 * WHITE + 2.0, STEP * RNG.integers(0, 2, N), 1e-3 * RNG.standard_t(2, N)])
+@pytest.mark.parametrize(
+    "noise", [1e-4 * WHITE + 2.0, STEP * RNG.integers(0, 2, N), 1e-3 * RNG.standard_t(2, N)]
+)
 def test_noise_alone_is_no_motion(noise, layout, message):
     t, u, _ = motion()
     for input_ in (u, RNG.standard_normal(N)):
@@ -335,14 +379,30 @@ def test_no_record_and_wrong_entries(layout, message, tmp_path):
     assert "no record" in message(lambda: read_records(layout, []))
     assert "no record" in message(lambda: records_from_arrays(layout, []))
     for entry in (("a", [0.0], [0.0]), 1, "abcd"):
-        assert "is not (name, time, u, y)" in message(lambda entry=entry: records_from_arrays(layout, [entry]))
+        assert "is not (name, time, u, y)" in message(
+            lambda entry=entry: records_from_arrays(layout, [entry])
+        )
     assert "the records are no list" in message(lambda: records_from_arrays(layout, None))
-    assert "the layout is a str; give a Layout" in message(lambda: records_from_arrays("model.toml", []))
-    assert "the layout is a str; give a Layout" in message(lambda: read_records("model.toml", tmp_path / "r.csv"))
+    assert "the layout is a str; give a Layout" in message(
+        lambda: records_from_arrays("model.toml", [])
+    )
+    assert "the layout is a str; give a Layout" in message(
+        lambda: read_records("model.toml", tmp_path / "r.csv")
+    )
     t, u, y = motion()
-    assert "b: is the same as a" in message(lambda: records_from_arrays(layout, [("a", t, u, y), ("b", t, u, y)]))
-    assert "input is not an array of numbers" in message(lambda: records_from_arrays(layout, [("a", t, u * 1j, y)]))
-    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,torque,theta", comments="")
+    assert "b: is the same as a" in message(
+        lambda: records_from_arrays(layout, [("a", t, u, y), ("b", t, u, y)])
+    )
+    assert "input is not an array of numbers" in message(
+        lambda: records_from_arrays(layout, [("a", t, u * 1j, y)])
+    )
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack(motion()),
+        delimiter=",",
+        header="t,torque,theta",
+        comments="",
+    )
     text = message(lambda: read_records(layout, [tmp_path / "r.csv"]))
     assert "r.csv: input: no column 'u'" in text
     assert "t, torque, theta" in text
@@ -350,26 +410,44 @@ def test_no_record_and_wrong_entries(layout, message, tmp_path):
 
 def test_arguments_of_another_kind_are_one_line(layout, message):
     t, u, y = motion()
-    for wrong, named in (([3], "paths[0] is 3"), (3, "paths is 3"), (["", None], "paths[0] is ''"), (None, "paths is None")):
+    for wrong, named in (
+        ([3], "paths[0] is 3"),
+        (3, "paths is 3"),
+        (["", None], "paths[0] is ''"),
+        (None, "paths is None"),
+    ):
         assert f"{named}; give a path" in message(lambda wrong=wrong: read_records(layout, wrong))
-    assert "record 3: its name is a int" in message(lambda: records_from_arrays(layout, [(3, t, u, y)]))
-    assert "record a: two records have this name" in message(lambda: records_from_arrays(layout, [("a", t, u, y), ("a", t, y, u)]))
-    assert "record a: holds no sample" in message(lambda: records_from_arrays(layout, [("a", [], [], [])]))
+    assert "record 3: its name is a int" in message(
+        lambda: records_from_arrays(layout, [(3, t, u, y)])
+    )
+    assert "record a: two records have this name" in message(
+        lambda: records_from_arrays(layout, [("a", t, u, y), ("a", t, y, u)])
+    )
+    assert "record a: holds no sample" in message(
+        lambda: records_from_arrays(layout, [("a", [], [], [])])
+    )
     dated = (t * 1e6).astype("datetime64[us]")
-    assert "time is not an array of numbers but of timestamps" in message(lambda: one(layout, dated, u, y))
+    assert "time is not an array of numbers but of timestamps" in message(
+        lambda: one(layout, dated, u, y)
+    )
 
 
 def test_the_same_record_in_another_format_is_a_copy(layout, message):
     t, u, y = motion()
     written = [np.array([float(f"{x:.7g}") for x in column]) for column in (t, u, y)]
-    assert "record b: is the same as a" in message(lambda: records_from_arrays(layout, [("a", t, u, y), ("b", *written)]))
+    assert "record b: is the same as a" in message(
+        lambda: records_from_arrays(layout, [("a", t, u, y), ("b", *written)])
+    )
     assert len(records_from_arrays(layout, [("a", t, u, y), ("b", t, u, y + 1e-4 * WHITE)])) == 2
 
 
 def test_masked_samples_are_missing(layout, message):
     t, u, y = motion()
     assert len(one(layout, t, u, np.ma.masked_where(t < 0.01, y))) == N - 10
-    only(one(layout, t, np.ma.masked_where(t == t[70], u), y), "input is not finite at 1 of 6000 samples (first at sample 70")
+    only(
+        one(layout, t, np.ma.masked_where(t == t[70], u), y),
+        "input is not finite at 1 of 6000 samples (first at sample 70",
+    )
 
 
 def test_a_record_made_by_hand_is_checked(layout, message):
@@ -391,39 +469,65 @@ def test_a_record_made_by_hand_is_checked(layout, message):
     ):
         assert words in message(lambda change=change: replace(made, **change))
     for other, words in (
-        (Record("b", t, 2e-3, u, y), "record b: h is 0.002 s, but from sample 0 to the next it is 0.001 s"),
-        (Record("b", 2 * t, 2e-3, u, y), "record b: sampled every 0.002 s, record run every 0.001 s; use records_from_arrays"),
+        (
+            Record("b", t, 2e-3, u, y),
+            "record b: h is 0.002 s, but from sample 0 to the next it is 0.001 s",
+        ),
+        (
+            Record("b", 2 * t, 2e-3, u, y),
+            "record b: sampled every 0.002 s, record run every 0.001 s; use records_from_arrays",
+        ),
     ):
         assert words in message(lambda other=other: must_agree([made, other]))
     for change, words in (
         ({"y": np.full(N, 0.3)}, "record run: nothing moves: the output stays within 0 rad"),
-        ({"y": 1e-3 * WHITE}, "record run: nothing moves: all that the output shows is noise of 0.001 rad rms"),
+        (
+            {"y": 1e-3 * WHITE},
+            "record run: nothing moves: all that the output shows is noise of 0.001 rad rms",
+        ),
         ({"y": 1e200 * y}, "record run: output reaches"),
         ({"u": np.full(N, 0.5)}, "record run: input is constant (0.5 N.m) in every record"),
-        ({"time": t[:5], "u": u[:5], "y": y[:5]}, "record run: lasts 0.004 s; at least 2 s are needed"),
+        (
+            {"time": t[:5], "u": u[:5], "y": y[:5]},
+            "record run: lasts 0.004 s; at least 2 s are needed",
+        ),
     ):
-        assert words in message(lambda change=change: must_show(layout, [replace(made, **change)], NEEDS))
-    for kept in ({"y": np.full(N, 0.3)}, {"u": np.full(N, 0.5)}):  # beside another that shows something
+        assert words in message(
+            lambda change=change: must_show(layout, [replace(made, **change)], NEEDS)
+        )
+    # beside another that shows something
+    for kept in ({"y": np.full(N, 0.3)}, {"u": np.full(N, 0.5)}):
         must_show(layout, [replace(made, **kept), made], NEEDS)
     coarse = np.linspace(0.0, 30.0, 301)
-    brief = records_from_arrays(layout, [("a", t[:2001], u[:2001], y[:2001]), ("b", coarse, np.sin(coarse), np.cos(0.7 * coarse))])
+    brief = records_from_arrays(
+        layout,
+        [("a", t[:2001], u[:2001], y[:2001]), ("b", coarse, np.sin(coarse), np.cos(0.7 * coarse))],
+    )
     assert len(brief[0]) == 21  # at the rate of the other one
     must_show(layout, brief, NEEDS)
 
 
 def test_one_path_is_a_list_of_one_and_none_counts_twice(layout, message, tmp_path):
-    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="")
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack(motion()),
+        delimiter=",",
+        header="t,u,theta",
+        comments="",
+    )
     [alone] = read_records(layout, tmp_path / "r.csv")
     [same] = read_records(layout, str(tmp_path / "r.csv"))
     assert alone.name == same.name == "r"
     still = tmp_path / "still.csv"
-    np.savetxt(still, np.column_stack(motion()) * [1, 1, 0], delimiter=",", header="t,u,theta", comments="")
+    np.savetxt(
+        still, np.column_stack(motion()) * [1, 1, 0], delimiter=",", header="t,u,theta", comments=""
+    )
     assert message(lambda: read_records(layout, still)).startswith(f"record {still}: nothing moves")
     twice = [tmp_path / "r.csv", tmp_path / "." / "r.csv"]
     assert "is given twice" in message(lambda: read_records(layout, twice))
 
 
-# -- samples ---------------------------------------------------------------------------------------------------------------
+# -- samples ---------------------------------------------------------------------------------------
 
 
 def test_holes_at_the_ends_are_cut_off(layout):
@@ -439,8 +543,10 @@ def test_a_few_holes_are_interpolated_and_said(layout):
     t, u, y = motion()
     record = one(layout, holes(t, [70], np.inf), holes(u, [900, 901]), holes(y, range(72, 77)))
     assert [line.split(" of ")[0] for line in said(record)] == [
-        "record run: time is not finite at 1", "record run: input is not finite at 2", "record run: output is not finite at 5",
-    ]  # fmt: skip
+        "record run: time is not finite at 1",
+        "record run: input is not finite at 2",
+        "record run: output is not finite at 5",
+    ]
     assert "first at sample 72, at most 5 in a row); interpolated" in said(record)[2]
     np.testing.assert_allclose(record.y, y, atol=1e-4)
     np.testing.assert_allclose(record.u, u, atol=1e-4)
@@ -455,11 +561,19 @@ def test_interpolated_readings_keep_the_steps_and_the_wraps_of_the_sensor(layout
     record = one(layout, t, u, holes(wrapped, [*jumps[:2], *range(1000, 1005), 2000]))
     assert record.wrapped
     assert record.resolution == pytest.approx(STEP, rel=1e-6)
-    np.testing.assert_allclose(record.y, counts(y), atol=STEP + np.max(np.abs(np.diff(y))))  # over a wrap, one sample late
+    # over a wrap, one sample late
+    np.testing.assert_allclose(record.y, counts(y), atol=STEP + np.max(np.abs(np.diff(y))))
 
 
 def test_what_the_reader_repaired_is_said(layout, tmp_path):
-    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="", footer="9.9,1")
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack(motion()),
+        delimiter=",",
+        header="t,u,theta",
+        comments="",
+        footer="9.9,1",
+    )
     (tmp_path / "r.csv").write_text((tmp_path / "r.csv").read_text().rstrip())
     only_one = read_records(layout, tmp_path / "r.csv")[0]
     assert "record r: the last line has 2 of 3 values; left out" in only_one.findings
@@ -510,7 +624,8 @@ def test_a_position_that_wraps_by_360_is_proposed_to_be_in_degrees(layout):
     record = one(layout, t, u, np.mod(np.degrees(y), 360.0))
     only(record, "wraps by 360 rad", "[output] unit ('rad')", "a turn has 6.283 rad")
     np.testing.assert_allclose(np.diff(record.y), np.diff(np.degrees(y)), atol=1e-6)
-    coarse = one(layout, t, u, np.floor(np.mod(np.degrees(y), 360.0) * 4096 / 360) * 360 / 4096)  # of 12 bits: a turn all the same
+    # of 12 bits: a turn all the same
+    coarse = one(layout, t, u, np.floor(np.mod(np.degrees(y), 360.0) * 4096 / 360) * 360 / 4096)
     assert any("[output] unit ('rad')" in line for line in coarse.findings)
 
 
@@ -555,9 +670,17 @@ def test_the_resolution_is_compared_with_the_declared_one(tree):
     t, u, y = motion()
     tree["output"]["resolution"] = STEP
     assert one(from_tree(tree), t, u, counts(y)).findings == ()
-    only(one(from_tree(tree), t, u, y), "shows no such steps", "filtered, interpolated or written with too few digits")
+    only(
+        one(from_tree(tree), t, u, y),
+        "shows no such steps",
+        "filtered, interpolated or written with too few digits",
+    )
     tree["output"]["resolution"] = STEP / 4
-    only(one(from_tree(tree), t, u, counts(y)), "comes in steps of 0.001534 rad", "correct the resolution or the unit")
+    only(
+        one(from_tree(tree), t, u, counts(y)),
+        "comes in steps of 0.001534 rad",
+        "correct the resolution or the unit",
+    )
 
 
 @pytest.mark.parametrize("step", [0.7e-4, 3.3e-3, 0.1])
@@ -574,7 +697,9 @@ def printed(x, digits):
 
 
 def test_the_resolution_is_found_in_few_digits():
-    """Of degrees a digit is a part of a step; a speed that is the difference of such readings is written in several ways."""
+    """Of degrees a digit is a part of a step; a speed that is the difference of such readings is
+    written in several ways.
+    """
     _, _, y = motion()
     step = 360 / 131072
     degrees = printed(counts(10 + 10 * y, step), 6)
@@ -616,7 +741,9 @@ def test_the_steps_of_the_output_are_reported_once_where_the_layout_does_not_dec
     t, u, y = motion()
 
     def found(layout, step):
-        records = records_from_arrays(layout, [("a", t, u, counts(y, step)), ("b", t, u, counts(motion(seed=1)[2], step))])
+        records = records_from_arrays(
+            layout, [("a", t, u, counts(y, step)), ("b", t, u, counts(motion(seed=1)[2], step))]
+        )
         return [line for record in records for line in record.findings]
 
     layout = from_tree(tree)
@@ -642,11 +769,13 @@ def test_rest_under_a_sweeping_input_is_reported(layout):
     assert said(one(layout, t, quiet, counts(resting))) == ()
 
 
-# -- as recorded ---------------------------------------------------------------------------------------------------------
+# -- as recorded -----------------------------------------------------------------------------------
 
 
 def test_without_identification_the_samples_stay(layout, message):
-    """A spike, a wrap, an output at rest, a constant input and a late start are no business of a reader."""
+    """A spike, a wrap, an output at rest, a constant input and a late start are no business of a
+    reader.
+    """
     t, u, y = motion()
     strange = np.where(np.arange(N) == 1000, 99.0, np.mod(y, 2 * np.pi))
     [record] = records.records_from_arrays(layout, [("run", t + 1e9, u, strange)])
@@ -657,8 +786,13 @@ def test_without_identification_the_samples_stay(layout, message):
     assert not still.y.any()
     text = message(lambda: records.records_from_arrays(layout, [("run", t[:9], u[:9], y[:9])]))
     assert "9 samples; at least 10 are needed" in text
-    text = message(lambda: records.records_from_arrays(layout, [("run", np.where(t < 3, t, t + 0.1), u, y)]))
-    assert "run: a gap of 0.101 s after sample 2999 (2.999 s), allowed 3.5 sampling intervals of 0.001 s" in text
+    text = message(
+        lambda: records.records_from_arrays(layout, [("run", np.where(t < 3, t, t + 0.1), u, y)])
+    )
+    assert (
+        "run: a gap of 0.101 s after sample 2999 (2.999 s), allowed 3.5 sampling intervals of"
+        " 0.001 s" in text
+    )
 
 
 def test_an_uneven_time_gives_the_same_record_to_all(layout, tmp_path):
@@ -677,7 +811,9 @@ def test_an_uneven_time_gives_the_same_record_to_all(layout, tmp_path):
 
 def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, message):
     table = LayoutTable.model_validate(tree)
-    layout = layout_of(table, "tree", velocity=table.output.model_copy(update={"column": "v", "unit": "rpm"}))
+    layout = layout_of(
+        table, "tree", velocity=table.output.model_copy(update={"column": "v", "unit": "rpm"})
+    )
     t, u, y = motion()
     v = np.gradient(y, H)
     uneven = t + 0.1 * H * np.sin(1.7 * np.arange(N))
@@ -690,15 +826,26 @@ def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, messag
     for long, words in ((1, "1 of 6000 samples (first at sample 70"), (6, None)):
         np.savez(tmp_path / "hole.npz", **columns | {"v": holes(v, range(70, 70 + long))})
         if words:
-            assert f"velocity is not finite at {words}" in records.read_record(layout, tmp_path / "hole.npz").findings[0]
+            assert (
+                f"velocity is not finite at {words}"
+                in records.read_record(layout, tmp_path / "hole.npz").findings[0]
+            )
         else:
-            assert "velocity is not finite at 6" in message(lambda: records.read_record(layout, tmp_path / "hole.npz"))
+            assert "velocity is not finite at 6" in message(
+                lambda: records.read_record(layout, tmp_path / "hole.npz")
+            )
     np.savez(tmp_path / "end.npz", **columns | {"v": np.where(np.arange(N) > N - 4, np.nan, v)})
-    assert "and 3 at the end are not finite" in records.read_record(layout, tmp_path / "end.npz").findings[0]
+    assert (
+        "and 3 at the end are not finite"
+        in records.read_record(layout, tmp_path / "end.npz").findings[0]
+    )
 
 
 def test_records_need_no_diagnosis():
     """Whoever reads a record, a scenario for one, does not load the diagnosis and the plants."""
-    code = "import sys, bristle.records; print([m for m in sys.modules if m.startswith(('bristle.d', 'bristle.pl', 'bristle.m'))])"
+    code = (
+        "import sys, bristle.records; print([m for m in sys.modules if m.startswith(('bristle.d',"
+        " 'bristle.pl', 'bristle.m'))])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
