@@ -40,10 +40,11 @@ from bristle.harness.baseline.repeats import (
     run_rounded,
 )
 from bristle.harness.baseline.tube import SAFETY
-from bristle.harness.run.run import check
+from bristle.harness.cosim.ports import WHOLE_PARAMETERS
+from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import scenario_files
-from bristle.harness.scenario.plan import WHOLE_PARAMETERS, Setup
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.reading import load
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
 JOBS = 2  # processes
@@ -179,7 +180,7 @@ def try_scenario(name: str, path: Path) -> Tried:
     """Make the baseline of a scenario, and run it without and with changes."""
     begin, tried = time.perf_counter(), Tried()
     with tempfile.TemporaryDirectory() as folder:
-        checked = check(path, Path(folder))
+        checked = build_and_check(path, Path(folder))
         try:
             baseline = make_baseline(checked, ways=own_ways(checked.setup))
         except BristleError as error:

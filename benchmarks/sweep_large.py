@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bristle.harness.run.run import Options
+from bristle.harness.run.checked import Options
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.sweep.design import design
 from bristle.harness.sweep.store import Store

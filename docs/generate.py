@@ -16,8 +16,8 @@ from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.fmus.conformance import BEHAVIOUR, POINTS
-from bristle.harness.metrics.estimates import CHECK_QUANTITIES, STATES
-from bristle.harness.scenario.plan import BUS_PORTS, FREE_INPUTS, NEEDED_PORTS
+from bristle.harness.cosim.ports import BUS_PORTS, FREE_INPUTS, NEEDED_PORTS
+from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
 from bristle.harness.scenario.scenario import Scenario
 from bristle.model.declarations import ENTRY
 from bristle.model.normalised import OBSERVED

@@ -129,7 +129,7 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.run.run import run as run_scenario
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
@@ -202,7 +202,7 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import SAMPLINGS, design

@@ -172,7 +172,7 @@ class Result(_Answer):
         from html import escape
 
         from bristle.common import html
-        from bristle.harness.metrics.estimates import SIGNS
+        from bristle.harness.metrics.checks import SIGNS
 
         shown = ("final", "sd", "true", "error_percent", "settling_s")
         estimates = [

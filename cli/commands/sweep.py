@@ -84,7 +84,7 @@ def sweep(
 ) -> int:
     """Run a scenario with all values and seeds; what comes of each run is a row of STORE."""
     from bristle.common.output import output_folder
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import design

@@ -20,9 +20,10 @@ from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.baseline.repeats import Repeat, Repeated, repeats
 from bristle.harness.baseline.tube import SAFETY, WRITTEN_SHARE, Spread
-from bristle.harness.metrics.estimates import look_up
+from bristle.harness.metrics.checks import look_up
+from bristle.harness.run.checked import Checked
+from bristle.harness.run.outcome import outcome
 from bristle.harness.run.results import THINNED_ROWS, missing, rows_of, thinned
-from bristle.harness.run.run import Checked, outcome
 
 Array = NDArray[np.float64]
 Told = Callable[[str, float], None]

@@ -27,7 +27,7 @@ from bristle.harness.baseline.baseline import (
     read_json,
 )
 from bristle.harness.baseline.tube import EXACT_MARGIN, written_margin
-from bristle.harness.metrics.estimates import look_up
+from bristle.harness.metrics.checks import look_up
 from bristle.harness.run.results import missing, rows_of, thinned
 
 Array = NDArray[np.float64]

@@ -18,16 +18,12 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.fmus.host import Fmu, Value
+from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.isolate import run_bus
-from bristle.harness.cosim.loop import Bus
-from bristle.harness.run.run import View, measured
-from bristle.harness.scenario.plan import (
-    SELECTOR_PARAMETERS,
-    WHOLE_PARAMETERS,
-    Setup,
-    identification,
-    prepare,
-)
+from bristle.harness.cosim.ports import SELECTOR_PARAMETERS, WHOLE_PARAMETERS
+from bristle.harness.run.outcome import measured
+from bristle.harness.run.view import View
+from bristle.harness.scenario.plan import Setup, identification, prepare
 from bristle.model.compiler import Toolchain, compiled_with, find_compiler, known_compilers
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from bristle.common.cache import cached, digest
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Call, Control
+from bristle.harness.cosim.bus import Array, Bus, Port, Progress
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
-
-if TYPE_CHECKING:
-    from bristle.harness.cosim.loop import Array, Bus, Port, Progress
 
 # s; after a call of the compiled loop that takes less, the next does more before Python looks
 # around

@@ -18,9 +18,11 @@ from bristle.common.errors import BristleError
 from bristle.common.html import beside, identifier, number, page, table
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
+from bristle.harness.cosim.bus import Bus, Trace
 from bristle.harness.cosim.isolate import run_bus
-from bristle.harness.cosim.loop import Bus, Trace
-from bristle.harness.run.run import Options, check, verdict
+from bristle.harness.run.checked import Options
+from bristle.harness.run.outcome import verdict
+from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.plan import Setup
 
 Array = NDArray[np.float64]
@@ -102,7 +104,7 @@ def coupling(
         One line; nothing is written then.
     """
     with output_folder(out):
-        checked = check(path, out, options)
+        checked = build_and_check(path, out, options)
         setup = checked.setup
         if setup.samples is not None:
             raise setup.loaded.error(

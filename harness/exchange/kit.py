@@ -22,8 +22,9 @@ from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
+from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
 from bristle.harness.cosim.isolate import simulate_isolated
-from bristle.harness.cosim.loop import Bus, Instance, Port, Trace
+from bristle.harness.cosim.ports import SELECTOR_PARAMETERS
 from bristle.harness.exchange.archive import Archive
 from bristle.harness.exchange.kit_readme import readme
 from bristle.harness.exchange.replay import (
@@ -47,8 +48,10 @@ from bristle.harness.exchange.ssp import (
     package_files,
 )
 from bristle.harness.run import results
-from bristle.harness.run.run import Options, Outcome, check, outcome
-from bristle.harness.scenario.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.run.checked import Options
+from bristle.harness.run.outcome import Outcome, outcome
+from bristle.harness.run.run import build_and_check
+from bristle.harness.scenario.plan import Setup
 
 REFERENCE_SIGNALS = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
@@ -104,7 +107,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         One line; nothing is written then.
     """
     with output_folder(out):
-        checked = check(path, out, options)
+        checked = build_and_check(path, out, options)
         setup = checked.setup
         _refuse_other(out, setup.loaded.name)
         if setup.samples is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bristle.common.metrics import mse_percent
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Drive
+from bristle.harness.cosim.drive import Drive
 
 Array = NDArray[np.float64]
 

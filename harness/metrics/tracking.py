@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.harness.cosim.loop import Trace
+from bristle.harness.cosim.bus import Trace
 
 Array = NDArray[np.float64]
 

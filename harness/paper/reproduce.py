@@ -25,7 +25,7 @@ from bristle.common.provenance import provenance
 from bristle.common.units import quantity
 from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Drive
+from bristle.harness.cosim.drive import Drive
 from bristle.harness.metrics.fit import Data
 from bristle.harness.metrics.validation import (
     MODEL_PARAMETERS,
@@ -34,10 +34,12 @@ from bristle.harness.metrics.validation import (
     score,
 )
 from bristle.harness.paper.printed_numbers import PAPER, PRINTED
-from bristle.harness.run.run import Checked, Options, Outcome, check, outcome
+from bristle.harness.run.checked import Checked, Options
+from bristle.harness.run.outcome import Outcome, outcome
+from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.scenario.plan import Setup
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.reading import load
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]  # what is done now, share that is done
@@ -226,7 +228,7 @@ def _run(
         say(f"{path.stem}: {name}")
 
     with TemporaryFolder("check") as folder:  # checked for its place, never written
-        checked = check(path, Path(folder), Options(overrides=overrides), stage)
+        checked = build_and_check(path, Path(folder), Options(overrides=overrides), stage)
         return checked, outcome(checked, stage)
 
 

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from bristle.common.html import badge, beside, figure, identifier, number, page, table, tally, unit
-from bristle.harness.metrics.estimates import SIGNS, check_unit
+from bristle.harness.metrics.checks import SIGNS, check_unit
 
 GREEK = {
     "alpha2": "α<sub>2</sub>",

@@ -3,47 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.packages import offered
-from bristle.fmus.alias import Mapped, alias
-from bristle.fmus.host import Alias, Fmu, Value
-from bristle.harness.cosim.loop import Bus, Instance, Port
+from bristle.fmus.host import Fmu, Value
+from bristle.harness.cosim.bus import Bus, Instance, Port
+from bristle.harness.cosim.ports import (
+    BUS_PORTS,
+    FREE_INPUTS,
+    SELECTOR_PARAMETERS,
+    SENSOR_OUTPUTS,
+    WHOLE_PARAMETERS,
+)
+from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig
 from bristle.harness.scenario.samples import Samples, read_samples
-from bristle.harness.scenario.scenario import Loaded, Part, Plant, Scenario
+from bristle.harness.scenario.scenario import Part, Scenario
 from bristle.harness.scenario.stimuli import Signal, check_range, events, read_stimuli, series
-
-Kind = Literal["native", "python"]
-
-# Variables of the bus and their SI units; an FMU must have the `NEEDED_PORTS`.
-BUS_PORTS = {
-    "plant": {
-        "inputs": {"u": "V", "tau_load": "N.m", "load_scale": "1"},
-        "outputs": {"theta": "rad", "v": "rad/s", "F": "N.m", "theta_enc": "rad", "v_enc": "rad/s"},
-    },
-    "controller": {
-        "inputs": {"y_v": "rad/s", "u_ff": "V", "reference_scale": "1"},
-        "outputs": {"u": "V", "reference": "rad/s", "u_compensation": "V"},
-    },
-    "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
-}
-# unit of a plant: others it may have
-UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m": ("N",)}
-NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
-# which a stimulus may drive
-FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}
-# plant outputs: position, velocity
-SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
-WHOLE_PARAMETERS = {  # Real parameters that only take whole values
-    "controller": ("seed", "order"),
-    "plant": ("input_noise.seed", "encoder.counts"),
-}
-SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
 
 
 @dataclass(frozen=True)
@@ -92,107 +70,6 @@ class Setup:
             for name in fmu.names("output")
             if fmu.is_real(name) and (unit == "observer" or name in known)
         )
-
-
-def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
-    """Return the FMUs a scenario needs, building those of bristle that are not in the cache."""
-    scenario = loaded.scenario
-    parts: dict[str, Part | None] = {"observer": scenario.observer}
-    if scenario.plant is not None:
-        parts = {
-            "controller": None if scenario.open_loop else scenario.controller,
-            "plant": scenario.plant,
-            **parts,
-        }
-    found = {}
-    for name, part in parts.items():
-        if part is None:
-            continue
-        if part.fmu is None and part.variables:
-            raise loaded.error(
-                f"{name}.variables",
-                None,
-                f"names those of an FMU of your own; give {name}.fmu, or remove it",
-            )
-        if part.fmu is not None:
-            found[name] = _foreign(loaded, name, part.fmu, part.variables)
-        else:
-            found[name] = _own(loaded, name, part, fmi, kind)
-    return found
-
-
-def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there
-    are some from outside.
-    """
-    from bristle.fmus.build import is_packaged, obtain, plugins_of
-
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    choice: str | None = getattr(part, selector, None)
-    effects = part.effects if isinstance(part, Plant) else []
-    packaged = choice is not None and is_packaged(name, choice)
-    alone = packaged or (choice is not None and plugins_of(name))
-    if not alone and not effects:
-        return Fmu(obtain(name, fmi=fmi, kind=kind))
-    try:
-        law, method = (choice if selector == option else None for option in ("law", "method"))
-        return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
-    except BristleError as error:
-        raise loaded.error(
-            f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)
-        ) from None
-
-
-def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
-    aliases = {key: _alias(loaded, name, key, given) for key, given in variables.items()}
-    try:
-        fmu = Fmu(loaded.beside(file), True, aliases)
-    except BristleError as error:
-        raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    sides = BUS_PORTS[name]
-    for needed in NEEDED_PORTS[name]:
-        side = "input" if needed in sides["inputs"] else "output"
-        if not fmu.has(needed, side) or not fmu.is_real(needed):
-            have = ", ".join(fmu.names(side)) or "none"
-            advice = f'name the one that is meant: [{name}.variables] {needed} = "..."'
-            raise loaded.error(
-                f"{name}.fmu",
-                file,
-                f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}",
-            )
-    try:
-        for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
-            if variable in fmu.variables:
-                fmu.check_si(
-                    variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())
-                )
-    except BristleError as error:
-        raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    return fmu
-
-
-def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
-    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to
-    be.
-    """
-    where, sides = f"{name}.variables.{key}", BUS_PORTS[name]
-    wanted = {**sides["inputs"], **sides["outputs"]}
-    if key not in wanted and not (
-        name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
-    ):
-        raise loaded.error(
-            where,
-            given,
-            f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}",
-        )
-    unit = wanted.get(key)
-    units = (
-        [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
-    )
-    try:
-        return alias(given, units)
-    except BristleError as error:
-        raise loaded.error(where, given, str(error)) from None
 
 
 def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import interval, quantity
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Port
-from bristle.harness.scenario.scenario import Loaded, Noise, Sine, Stimulus
+from bristle.harness.cosim.bus import Port
+from bristle.harness.scenario.reading import Loaded
+from bristle.harness.scenario.scenario import Noise, Sine, Stimulus
 
 Array = NDArray[np.float64]
 Event = tuple[int, Port, float]

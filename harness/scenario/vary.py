@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bristle.common.errors import BristleError
-from bristle.harness.scenario.scenario import keys_of
+from bristle.harness.scenario.reading import keys_of
 
 MOST_VALUES = 10_000
 SEED_PATH = "controller.parameters.seed"  # of a scenario: what seeds stand for

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from bristle.common.html import badge, beside, identifier, number, page, table, tally, unit
 from bristle.common.xml import printable
-from bristle.harness.metrics.estimates import SIGNS, check_unit
+from bristle.harness.metrics.checks import SIGNS, check_unit
 from bristle.harness.suite.suite import CaseResult, CheckSummary, by_scenario, summaries
 
 VERDICT_BADGES = {"pass": "good", "fail": "bad", "error": "bad"}

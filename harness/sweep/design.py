@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import parse_unit
-from bristle.harness.scenario.scenario import keys_of
+from bristle.harness.scenario.reading import keys_of
 from bristle.harness.scenario.vary import SPECS, values_of
 
 Sampling = Literal["lhs", "sobol", "random"]

@@ -16,9 +16,10 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
+from bristle.harness.cosim.bus import Array, Bus, Port, Readings, Trace
 from bristle.harness.cosim.compiled import Compiled, Memory, Unit, library
-from bristle.harness.cosim.loop import Array, Bus, Port, Readings, Trace
-from bristle.harness.scenario.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.cosim.ports import SELECTOR_PARAMETERS
+from bristle.harness.scenario.plan import Setup
 
 MOST_LANES = 8  # of the processors that are known
 RUNS_WORTH_IT = 100  # fewer runs take less time than the programs, which are made once a process

@@ -39,10 +39,13 @@ from bristle.common.work import TemporaryFolder
 from bristle.fmus.calls import CONTROL_SIZE, Control
 from bristle.fmus.host import Alias, Fmu
 from bristle.fmus.isolate import isolated
-from bristle.harness.cosim.loop import Bus, Slaves, Trace, simulate
-from bristle.harness.run.run import Checked, Options, Simulate, check_loaded, command_of, outcome
-from bristle.harness.scenario.plan import find_fmus
-from bristle.harness.scenario.scenario import Loaded, parse
+from bristle.harness.cosim.bus import Bus, Trace
+from bristle.harness.cosim.loop import simulate
+from bristle.harness.cosim.node import Slaves
+from bristle.harness.run.checked import Checked, Options, Simulate, check_loaded
+from bristle.harness.run.outcome import command_of, outcome
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.reading import Loaded, parse
 from bristle.harness.scenario.vary import refuse_conflicts
 from bristle.harness.sweep.design import Axis, Design, Point
 from bristle.harness.sweep.lanes import MOST_LANES, RUNS_WORTH_IT, Together, alike
@@ -181,7 +184,7 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
             loaded = load_point(empty, Point(0, overrides, first_seed))
             key = parts_key(loaded)
             if key not in found:
-                found[key] = find_fmus(loaded, options.fmi, options.kind)
+                found[key] = build_fmus(loaded, options.fmi, options.kind)
                 hashes |= {fmu.sha256 for fmu in found[key].values()}
                 hashes |= _record_hash(loaded)
             check_loaded(loaded, found[key], path.parent, options)
@@ -334,7 +337,7 @@ def _prepared(sweep: Sweep, point: Point) -> _Prepared:
     try:
         loaded = load_point(sweep, point)
         parts = parts_key(loaded)
-        fmus = sweep.fmus.get(parts) or find_fmus(loaded, sweep.options.fmi, sweep.options.kind)
+        fmus = sweep.fmus.get(parts) or build_fmus(loaded, sweep.options.fmi, sweep.options.kind)
         checked = check_loaded(loaded, fmus, sweep.path.parent, sweep.options)
     except BristleError as error:
         return _Prepared(point, row | _error(error), time.perf_counter() - begun)

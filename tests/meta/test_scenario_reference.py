@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from bristle.harness.metrics.estimates import CHECK_QUANTITIES, STATES
-from bristle.harness.scenario.plan import BUS_PORTS, FREE_INPUTS
+from bristle.harness.cosim.ports import BUS_PORTS, FREE_INPUTS
+from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
 from bristle.harness.scenario.scenario import Scenario
 from bristle.model.normalised import OBSERVED
 

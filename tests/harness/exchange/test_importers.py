@@ -11,8 +11,9 @@ import pytest
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.scenario.plan import find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 SCENARIO = """
 duration = "1 s"
@@ -69,7 +70,7 @@ def closed_loop(path, fmi, lean):
     """Return bus and files: FMUs of all laws and methods, or of the one that the scenario has."""
     path.write_text(SCENARIO, encoding="utf-8")
     loaded = load(path)
-    setup = prepare(loaded, find_fmus(loaded, fmi))
+    setup = prepare(loaded, build_fmus(loaded, fmi))
     files = {name: fmu.path for name, fmu in setup.fmus.items()}
     if lean:
         files |= {

@@ -27,7 +27,8 @@ from bristle.harness.paper.reproduce import (
     scenario_path,
     stiffer,
 )
-from bristle.harness.run.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 
 SHORT = 0.01  # share of the paper's durations in the quick tests
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bristle.harness.run.run import check
-from bristle.harness.scenario.plan import find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.run.run import build_and_check
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -19,7 +20,7 @@ Message = Callable[[Callable[[], object]], str]
 
 def read(path: Path, *overrides: str, seed: int | None = None) -> object:
     loaded = load(path, overrides, seed)
-    return identification(prepare(loaded, find_fmus(loaded)))
+    return identification(prepare(loaded, build_fmus(loaded)))
 
 
 MISTAKES = [
@@ -272,7 +273,7 @@ def test_a_check_of_a_number_that_there_is_not_is_refused(
     quantity: str, words: str, base: str, scenario_file: Maker, message: Message, tmp_path: Path
 ) -> None:
     path = scenario_file(base.replace("estimates.b.error_percent", quantity))
-    text = message(lambda: check(path, tmp_path / "out"))
+    text = message(lambda: build_and_check(path, tmp_path / "out"))
     assert text.startswith(f'{path}: checks[0].quantity = "{quantity}": {words}')
     assert not (tmp_path / "out").exists()
 
@@ -347,5 +348,5 @@ def test_stimuli_start_with_the_step_they_fall_on(base: str, scenario_file: Make
         " 3.0]]\n[[checks]]",
     )
     loaded = load(scenario_file(text))
-    events = identification(prepare(loaded, find_fmus(loaded))).events
+    events = identification(prepare(loaded, build_fmus(loaded))).events
     assert [(step, value) for step, _, value in events] == [(0, 1.0), (500, 2.0), (1001, 3.0)]

@@ -20,7 +20,8 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus.host import Slave
-from bristle.harness.run.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 from bristle.harness.sweep.design import Design, design
 from bristle.harness.sweep.store import Store
 from bristle.harness.sweep.sweep import Means, Summary, packed, prepare_sweep, run_chunk, run_sweep
