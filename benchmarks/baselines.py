@@ -29,7 +29,7 @@ from shared import upper_bound, write_json
 
 from bristle.common.errors import BristleError
 from bristle.harness.baseline.baseline import Baseline, Signals, make_baseline, quantities_of
-from bristle.harness.baseline.comparison import Comparison, compare_sides
+from bristle.harness.baseline.comparison import compare_sides
 from bristle.harness.baseline.repeats import (
     Repeat,
     Repeated,
@@ -40,6 +40,7 @@ from bristle.harness.baseline.repeats import (
     run_rounded,
 )
 from bristle.harness.baseline.tube import SAFETY
+from bristle.harness.baseline.verdicts import Comparison
 from bristle.harness.cosim.ports import WHOLE_PARAMETERS
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import scenario_files

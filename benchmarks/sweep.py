@@ -38,17 +38,13 @@ from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import identification, prepare
 from bristle.harness.scenario.reading import load
+from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import Design, design
+from bristle.harness.sweep.executor import Means
 from bristle.harness.sweep.lanes import Together
+from bristle.harness.sweep.spec import Sweep, load_point, prepare_sweep
 from bristle.harness.sweep.store import Store
-from bristle.harness.sweep.sweep import (
-    Means,
-    Sweep,
-    load_point,
-    prepare_sweep,
-    run_chunk,
-    run_sweep,
-)
+from bristle.harness.sweep.sweep import run_sweep
 
 ROUNDS = 3
 FEW = 24  # runs of the slow ways

@@ -206,8 +206,10 @@ def sweep(
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import SAMPLINGS, design
+    from bristle.harness.sweep.executor import Means
+    from bristle.harness.sweep.spec import prepare_sweep
     from bristle.harness.sweep.store import Store
-    from bristle.harness.sweep.sweep import Means, prepare_sweep, run_sweep
+    from bristle.harness.sweep.sweep import run_sweep
     from bristle.result import SweepResult
 
     if not isinstance(vary or {}, Mapping):

@@ -318,7 +318,7 @@ class Reproduction(_Answer):
         from html import escape
 
         from bristle.common import html
-        from bristle.harness.paper.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         rows = [
             [
@@ -334,7 +334,7 @@ class Reproduction(_Answer):
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"
 
     def __str__(self) -> str:
-        from bristle.harness.paper.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         lines = [
             f"{self.verdict}; eq. (25), %",

@@ -88,8 +88,10 @@ def sweep(
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import design
+    from bristle.harness.sweep.executor import Means
+    from bristle.harness.sweep.spec import prepare_sweep
     from bristle.harness.sweep.store import Store
-    from bristle.harness.sweep.sweep import Means, prepare_sweep, run_sweep
+    from bristle.harness.sweep.sweep import run_sweep
 
     asked = design(
         vary or (), () if seeds is None else seeds_of(seeds), samples, sampling.value, sampling_seed

@@ -18,6 +18,7 @@ from bristle.common.errors import BristleError
 from bristle.common.files import check_regular
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
+from bristle.common.signals import Array
 from bristle.harness.baseline.repeats import Repeat, Repeated, repeats
 from bristle.harness.baseline.tube import SAFETY, WRITTEN_SHARE, Spread
 from bristle.harness.metrics.checks import look_up
@@ -25,7 +26,6 @@ from bristle.harness.run.checked import Checked
 from bristle.harness.run.outcome import outcome
 from bristle.harness.run.results import THINNED_ROWS, missing, rows_of, thinned
 
-Array = NDArray[np.float64]
 Told = Callable[[str, float], None]
 
 BASELINE_FILES = ("baseline.json", "result.json", "scenario.toml", "signals.npz")

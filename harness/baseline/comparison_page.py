@@ -25,7 +25,8 @@ from bristle.common.drawing import (
 )
 from bristle.common.html import badge, figure, identifier, number, page, table, unit, written_unit
 from bristle.common.time_plot import extremes
-from bristle.harness.baseline.comparison import (
+from bristle.harness.baseline.tube import EXACT_MARGIN
+from bristle.harness.baseline.verdicts import (
     Comparison,
     QuantityVerdict,
     SignalCourse,
@@ -33,7 +34,6 @@ from bristle.harness.baseline.comparison import (
     counts,
     differences,
 )
-from bristle.harness.baseline.tube import EXACT_MARGIN
 
 PAGE_BYTES = 1_000_000  # of the page, which then fits into a mail
 LINE_BYTES = 200  # of what is said of figures that do not fit

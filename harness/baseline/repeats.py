@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.isolate import run_bus
@@ -25,8 +25,6 @@ from bristle.harness.run.outcome import measured
 from bristle.harness.run.view import View
 from bristle.harness.scenario.plan import Setup, identification, prepare
 from bristle.model.compiler import Toolchain, compiled_with, find_compiler, known_compilers
-
-Array = NDArray[np.float64]
 
 ROUNDED_RUNS = 8  # runs in which start values are moved by one unit in the last place
 STEP_FACTORS = (0.5, 2.0)  # of the tolerances and steps of the plant's integrator

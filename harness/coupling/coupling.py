@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.common.html import beside, identifier, number, page, table
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
+from bristle.common.signals import Array
 from bristle.harness.cosim.bus import Bus, Trace
 from bristle.harness.cosim.isolate import run_bus
 from bristle.harness.run.checked import Options
@@ -25,7 +25,6 @@ from bristle.harness.run.outcome import verdict
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.plan import Setup
 
-Array = NDArray[np.float64]
 Told = Callable[[str, float], None]
 
 REFINED = 16  # steps of the reference in one of the scenario

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.cosim.bus import Port, Trace
-
-Array = NDArray[np.float64]
 
 SETTLING_BAND = 5.0  # percent of the true value; settling is the last time the error exceeds it
 # true values that grow in proportion to the normal load

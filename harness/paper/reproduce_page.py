@@ -9,7 +9,7 @@ from typing import Any
 
 from bristle.common.html import badge, beside, figure, identifier, number, page, table, tally, unit
 from bristle.harness.paper.printed_numbers import FIGURES, PRINTED, PrintedFigure
-from bristle.harness.paper.reproduce import COMPARED, LETTERS, SCHEMES, TEST_PLANTS
+from bristle.harness.paper.schemes import COMPARED, LETTERS, SCHEMES, TEST_PLANTS
 from bristle.harness.run.run_page import GREEK
 
 ORIGINS = {"text": "text", "axis": "axis", "curve": "curve, by eye"}

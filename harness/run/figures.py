@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.drawing import (
     BASELINE,
@@ -29,12 +28,11 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
+from bristle.common.signals import Array
 from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
 from bristle.harness.metrics.estimates import SETTLING_BAND, Course
 from bristle.harness.run.figure_text import MODEL_LABELS, seen
 from bristle.harness.run.pictures import Pictures
-
-Array = NDArray[np.float64]
 
 SCATTER_POINTS = 5000  # points of a scatter diagram
 # s at the end of the run, share of the rms speed: friction loops near rest that are shown

@@ -27,12 +27,8 @@ from bristle.harness.baseline.baseline import (
     write_baseline,
 )
 from bristle.harness.baseline.comparison import (
-    Comparison,
-    SignalCourse,
     compare_folders,
     compare_sides,
-    comparison_json,
-    differences,
     judge_quantity,
     judge_signal,
     write_comparison,
@@ -47,6 +43,7 @@ from bristle.harness.baseline.repeats import (
     toolchains,
 )
 from bristle.harness.baseline.tube import SAFETY
+from bristle.harness.baseline.verdicts import Comparison, SignalCourse, comparison_json, differences
 from bristle.harness.run.checked import Checked, Options
 from bristle.harness.run.results import thinned
 from bristle.harness.run.run import build_and_check, run

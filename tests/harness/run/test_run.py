@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from bristle.harness.metrics import checks
-from bristle.harness.metrics import estimates as metrics
 from bristle.harness.run.checked import Options
 from bristle.harness.run.run import Run, run
 

@@ -21,9 +21,10 @@ from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import Setup, identification, prepare
 from bristle.harness.scenario.reading import load
 from bristle.harness.sweep import lanes as together
+from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import design
 from bristle.harness.sweep.lanes import RUNS_WORTH_IT, Together, alike
-from bristle.harness.sweep.sweep import prepare_sweep, run_chunk
+from bristle.harness.sweep.spec import prepare_sweep
 
 Maker = Callable[..., Path]
 COMPENSATED = [

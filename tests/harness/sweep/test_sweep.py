@@ -22,9 +22,13 @@ from bristle.common.errors import BristleError
 from bristle.fmus.host import Slave
 from bristle.harness.run.checked import Options
 from bristle.harness.run.run import run
+from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import Design, design
+from bristle.harness.sweep.executor import Means
+from bristle.harness.sweep.ship import packed
+from bristle.harness.sweep.spec import prepare_sweep
 from bristle.harness.sweep.store import Store
-from bristle.harness.sweep.sweep import Means, Summary, packed, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.sweep.sweep import Summary, run_sweep
 from bristle.harness.sweep.sweep_page import Runs, Share, _places, render, statistics, summary
 
 Maker = Callable[..., Path]
@@ -444,7 +448,7 @@ def test_a_resumed_sweep_tells_what_those_that_were_there_do(path: Path, tmp_pat
 
 
 def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
-    from bristle.harness.sweep.sweep import Watcher
+    from bristle.harness.sweep.chunk import Watcher
 
     asked = design(VARY, samples=50)
     sweep = prepare_sweep(path, asked, dataclasses.replace(Options(), overrides=("duration=20 s",)))
