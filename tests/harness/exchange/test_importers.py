@@ -35,10 +35,11 @@ for name, file in FILES.items():
     structure.add_model(name, file)
 for a, b in LINKS:
     structure.make_real_connection(a.replace(".", "::", 1), b.replace(".", "::", 1))
-structure.add_parameter_set("start",
-{name.replace(".", "::", 1): value for name, value in VALUES.items()}) sim =
-EcosSimulation(structure=structure, step_size=1e-3) sim.init(parameter_set="start") for _ in
-range(STEPS // STRIDE):
+values = {name.replace(".", "::", 1): value for name, value in VALUES.items()}
+structure.add_parameter_set("start", values)
+sim = EcosSimulation(structure=structure, step_size=1e-3)
+sim.init(parameter_set="start")
+for _ in range(STEPS // STRIDE):
     sim.step(STRIDE)
     rows.append([sim.get_real(name.replace(".", "::", 1)) for name in SEEN])
 """
@@ -52,8 +53,8 @@ slaves = {name: CosimLocalSlave(file, name) for name, file in FILES.items()}
 unit = {name: run.add_local_slave(slave) for name, slave in slaves.items()}
 place = {f"{name}.{text(v.name)}": (i, v.reference) for name, i in unit.items() for v in run.slave_variables(i)}
 for name, value in VALUES.items():
-    (run.integer_initial_value if isinstance(value, int) else run.real_initial_value)(*place[name],
-    value)
+    give = run.integer_initial_value if isinstance(value, int) else run.real_initial_value
+    give(*place[name], value)
 for a, b in LINKS:
     run.connect_real_variables(*place[a], *place[b])
 seen = CosimObserver.create_last_value()
