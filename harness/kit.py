@@ -27,7 +27,7 @@ from bristle.harness.archive import Archive
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.kit_readme import readme
 from bristle.harness.loop import Bus, Instance, Port, Trace
-from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.plan import Setup
 from bristle.harness.replay import (
     STEPS_BY_DEFAULT,
     Agreement,
@@ -284,12 +284,8 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
 
 
 def _numbers(setup: Setup, name: str) -> dict[str, float]:
-    """Return the values of a unit's parameters, without the choice of law or method."""
-    return {
-        key: float(value)
-        for key, value in setup.values[name].items()
-        if key != SELECTOR_PARAMETERS.get(name)
-    }
+    """Return the values of a unit's parameters."""
+    return {key: float(value) for key, value in setup.values[name].items()}
 
 
 def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:

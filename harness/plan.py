@@ -9,13 +9,13 @@ from functools import lru_cache
 from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.packages import offered
+from bristle.common.units import quantity
 from bristle.fmus.alias import Mapped, alias
 from bristle.fmus.host import Alias, Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.rig import Rig
 from bristle.harness.samples import Samples, read_samples
-from bristle.harness.scenario import Loaded, Part, Plant, Scenario
+from bristle.harness.scenario import Loaded, Part, Scenario
 from bristle.harness.stimuli import Signal, check_range, events, read_stimuli, series
 
 Kind = Literal["native", "python"]
@@ -122,25 +122,38 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
 
 
 def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there
-    are some from outside.
-    """
-    from bristle.fmus.build import is_packaged, obtain, plugins_of
+    """Return an FMU of bristle, of the chosen law or method alone: no other is compiled."""
+    from bristle.fmus.build import obtain
 
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    choice: str | None = getattr(part, selector, None)
-    effects = part.effects if isinstance(part, Plant) else []
-    packaged = choice is not None and is_packaged(name, choice)
-    alone = packaged or (choice is not None and plugins_of(name))
-    if not alone and not effects:
-        return Fmu(obtain(name, fmi=fmi, kind=kind))
+    selector, effects = SELECTOR_PARAMETERS.get(name, ""), getattr(part, "effects", [])
+    choice = getattr(part, selector, None)
+    law, method = (choice if selector == option else None for option in ("law", "method"))
     try:
-        law, method = (choice if selector == option else None for option in ("law", "method"))
         return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
     except BristleError as error:
-        raise loaded.error(
-            f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)
-        ) from None
+        raise _not_built(loaded, name, choice, bool(effects), error) from None
+
+
+def _not_built(
+    loaded: Loaded, name: str, choice: str | None, effects: bool, error: BristleError
+) -> BristleError:
+    """Return the error of an FMU that cannot be built, with the place in the scenario that it is
+    about; one that is about the machine stays as it is.
+    """
+    from bristle.fmus.build import is_packaged, plugins_of, variant_names
+
+    if choice is None:
+        return error
+    key = f"{name}.{SELECTOR_PARAMETERS[name]}"
+    if is_packaged(name, choice):
+        return loaded.error(key, choice, str(error))
+    if effects or plugins_of(name):
+        return loaded.error(name, None, str(error))
+    known = variant_names(name)
+    if choice in known:
+        return error
+    message = f"unknown {SELECTOR_PARAMETERS[name]}{suggest(choice, known)}"
+    return loaded.error(key, choice, f"{message}; choose one of: {', '.join(known)}")
 
 
 def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
@@ -245,65 +258,53 @@ def _period(fmu: Fmu, h: float) -> dict[str, Value]:
     return {"sample_time": h} if fmu.has("sample_time", "parameter") else {}
 
 
-def _others(fmu: Fmu, selector: str, choice: str | None) -> set[str]:
-    """Return the laws or methods of an FMU that are not chosen; nothing of one without a choice."""
-    return set(fmu.choices(selector)) - {choice} if choice is not None else set()
-
-
 @lru_cache(maxsize=64)
-def _own_parameters(fmu: Fmu, selector: str, choice: str | None) -> list[str]:
-    """Return the parameters of an FMU without those of other laws or methods than the one
-    chosen.
-    """
-    others = _others(fmu, selector, choice)
-    return [
-        parameter
-        for parameter in fmu.names("parameter")
-        if parameter not in (selector, f"{selector}_index")
-        and parameter.partition(".")[0] not in others
-    ]
+def _own_parameters(fmu: Fmu, selector: str) -> list[str]:
+    """Return the parameters of an FMU without those that choose a law or method."""
+    return [name for name in fmu.names("parameter") if name not in (selector, f"{selector}_index")]
 
 
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
-    """Return the start values of a part: its choice of law or method, and the user's parameters,
-    which are in units of the rig.
-    """
+    """Return the start values of a part: the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
-    if choice is not None and fmu.has(selector, "parameter"):
-        choices = fmu.choices(selector)
-        if choice not in choices:
-            from bristle.fmus.build import VARIANT_KIND
-
-            known = list(dict.fromkeys([*choices, *offered(VARIANT_KIND[name])]))
-            message = (
-                f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
-            )
-            raise loaded.error(f"{name}.{selector}", choice, message)
-        values[selector] = choices[choice]
-    own = _own_parameters(fmu, selector, choice)
+    own = _own_parameters(fmu, selector)
     for key, given in part.parameters.items():
+        where = f"{name}.parameters.{key}"
         if choice is not None and key == f"{selector}_index":
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"the scenario chooses by {name}.{selector}; remove it",
-            )
+            message = f"the scenario chooses by {name}.{selector}; remove it"
+            raise loaded.error(where, given, message)
+        # what another law or method alone reads is refused, what several share is not read here
+        if choice is not None and key not in own and _is_shared(loaded, name, choice, key):
+            continue
         try:
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
-            raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
+            raise loaded.error(where, given, str(error)) from None
         if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
-            raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
-        owner = key.partition(".")[0]
-        if owner != key and owner in _others(fmu, selector, choice):
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"belongs to {selector} '{owner}', this is '{choice}'; remove it",
-            )
+            raise loaded.error(where, given, "must be a whole number")
     return values
+
+
+def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
+    """Say whether other laws or methods share a parameter that the chosen one does not read.
+
+    A scenario may give it: it is run with several laws then. Its value is checked.
+    """
+    from bristle.fmus.build import readers
+
+    where, given = f"{name}.parameters.{key}", getattr(loaded.scenario, name).parameters[key]
+    found, owner = readers(name, key), key.partition(".")[0]
+    if owner in found:
+        message = f"belongs to {SELECTOR_PARAMETERS[name]} '{owner}', this is '{choice}'; remove it"
+        raise loaded.error(where, given, message)
+    try:
+        for declared in found.values():
+            declared.check(quantity(given, declared.unit))
+    except BristleError as error:
+        raise loaded.error(where, given, str(error)) from None
+    return bool(found)
 
 
 def _check_sensors(setup: Setup) -> None:
