@@ -101,7 +101,7 @@ def coupling(
     BristleError
         One line; nothing is written then.
     """
-    with output_folder(out):
+    with output_folder(out, "coupling.json"):
         checked = check(path, out, options)
         setup = checked.setup
         if setup.samples is not None:
