@@ -102,7 +102,7 @@ def coupling(
     BristleError
         One line; nothing is written then.
     """
-    with output_folder(out):
+    with output_folder(out, "coupling.json"):
         checked = build_and_check(path, out, options)
         setup = checked.setup
         if setup.samples is not None:

@@ -24,7 +24,6 @@ from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
 from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
 from bristle.harness.cosim.isolate import simulate_isolated
-from bristle.harness.cosim.ports import SELECTOR_PARAMETERS
 from bristle.harness.exchange.archive import Archive
 from bristle.harness.exchange.kit_readme import readme
 from bristle.harness.exchange.replay import (
@@ -287,12 +286,8 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
 
 
 def _numbers(setup: Setup, name: str) -> dict[str, float]:
-    """Return the values of a unit's parameters, without the choice of law or method."""
-    return {
-        key: float(value)
-        for key, value in setup.values[name].items()
-        if key != SELECTOR_PARAMETERS.get(name)
-    }
+    """Return the values of a unit's parameters."""
+    return {key: float(value) for key, value in setup.values[name].items()}
 
 
 def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:

@@ -69,7 +69,7 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
     from bristle.harness.paper.reproduce_page import render
 
     say, begin = tell or (lambda text, done: None), time.perf_counter()
-    with output_folder(out):
+    with output_folder(out, "reproduce.json"):
         check_no_folder(out, REPRODUCE_FILES)
         found = compute(say, share)
         found.content["provenance"] = {

@@ -10,7 +10,7 @@ from bristle.fmus.alias import Mapped, alias
 from bristle.fmus.host import Alias, Fmu
 from bristle.harness.cosim.ports import BUS_PORTS, NEEDED_PORTS, SELECTOR_PARAMETERS, UNITS_OF_RIGS
 from bristle.harness.scenario.reading import Loaded
-from bristle.harness.scenario.scenario import Part, Plant
+from bristle.harness.scenario.scenario import Part
 
 Kind = Literal["native", "python"]
 
@@ -43,25 +43,38 @@ def build_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str,
 
 
 def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there
-    are some from outside.
-    """
-    from bristle.fmus.build import is_packaged, obtain, plugins_of
+    """Return an FMU of bristle, of the chosen law or method alone: no other is compiled."""
+    from bristle.fmus.build import obtain
 
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    choice: str | None = getattr(part, selector, None)
-    effects = part.effects if isinstance(part, Plant) else []
-    packaged = choice is not None and is_packaged(name, choice)
-    alone = packaged or (choice is not None and plugins_of(name))
-    if not alone and not effects:
-        return Fmu(obtain(name, fmi=fmi, kind=kind))
+    selector, effects = SELECTOR_PARAMETERS.get(name, ""), getattr(part, "effects", [])
+    choice = getattr(part, selector, None)
+    law, method = (choice if selector == option else None for option in ("law", "method"))
     try:
-        law, method = (choice if selector == option else None for option in ("law", "method"))
         return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
     except BristleError as error:
-        raise loaded.error(
-            f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)
-        ) from None
+        raise _not_built(loaded, name, choice, bool(effects), error) from None
+
+
+def _not_built(
+    loaded: Loaded, name: str, choice: str | None, effects: bool, error: BristleError
+) -> BristleError:
+    """Return the error of an FMU that cannot be built, with the place in the scenario that it is
+    about; one that is about the machine stays as it is.
+    """
+    from bristle.fmus.build import is_packaged, plugins_of, variant_names
+
+    if choice is None:
+        return error
+    key = f"{name}.{SELECTOR_PARAMETERS[name]}"
+    if is_packaged(name, choice):
+        return loaded.error(key, choice, str(error))
+    if effects or plugins_of(name):
+        return loaded.error(name, None, str(error))
+    known = variant_names(name)
+    if choice in known:
+        return error
+    message = f"unknown {SELECTOR_PARAMETERS[name]}{suggest(choice, known)}"
+    return loaded.error(key, choice, f"{message}; choose one of: {', '.join(known)}")
 
 
 def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from bristle.common.errors import BristleError, suggest
-from bristle.common.packages import offered
+from bristle.common.errors import BristleError
+from bristle.common.units import quantity
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.cosim.bus import Bus, Instance, Port
 from bristle.harness.cosim.ports import (
@@ -122,65 +122,53 @@ def _period(fmu: Fmu, h: float) -> dict[str, Value]:
     return {"sample_time": h} if fmu.has("sample_time", "parameter") else {}
 
 
-def _others(fmu: Fmu, selector: str, choice: str | None) -> set[str]:
-    """Return the laws or methods of an FMU that are not chosen; nothing of one without a choice."""
-    return set(fmu.choices(selector)) - {choice} if choice is not None else set()
-
-
 @lru_cache(maxsize=64)
-def _own_parameters(fmu: Fmu, selector: str, choice: str | None) -> list[str]:
-    """Return the parameters of an FMU without those of other laws or methods than the one
-    chosen.
-    """
-    others = _others(fmu, selector, choice)
-    return [
-        parameter
-        for parameter in fmu.names("parameter")
-        if parameter not in (selector, f"{selector}_index")
-        and parameter.partition(".")[0] not in others
-    ]
+def _own_parameters(fmu: Fmu, selector: str) -> list[str]:
+    """Return the parameters of an FMU without those that choose a law or method."""
+    return [name for name in fmu.names("parameter") if name not in (selector, f"{selector}_index")]
 
 
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
-    """Return the start values of a part: its choice of law or method, and the user's parameters,
-    which are in units of the rig.
-    """
+    """Return the start values of a part: the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
-    if choice is not None and fmu.has(selector, "parameter"):
-        choices = fmu.choices(selector)
-        if choice not in choices:
-            from bristle.fmus.build import VARIANT_KIND
-
-            known = list(dict.fromkeys([*choices, *offered(VARIANT_KIND[name])]))
-            message = (
-                f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
-            )
-            raise loaded.error(f"{name}.{selector}", choice, message)
-        values[selector] = choices[choice]
-    own = _own_parameters(fmu, selector, choice)
+    own = _own_parameters(fmu, selector)
     for key, given in part.parameters.items():
+        where = f"{name}.parameters.{key}"
         if choice is not None and key == f"{selector}_index":
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"the scenario chooses by {name}.{selector}; remove it",
-            )
+            message = f"the scenario chooses by {name}.{selector}; remove it"
+            raise loaded.error(where, given, message)
+        # what another law or method alone reads is refused, what several share is not read here
+        if choice is not None and key not in own and _is_shared(loaded, name, choice, key):
+            continue
         try:
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
-            raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
+            raise loaded.error(where, given, str(error)) from None
         if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
-            raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
-        owner = key.partition(".")[0]
-        if owner != key and owner in _others(fmu, selector, choice):
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"belongs to {selector} '{owner}', this is '{choice}'; remove it",
-            )
+            raise loaded.error(where, given, "must be a whole number")
     return values
+
+
+def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
+    """Say whether other laws or methods share a parameter that the chosen one does not read.
+
+    A scenario may give it: it is run with several laws then. Its value is checked.
+    """
+    from bristle.fmus.build import readers
+
+    where, given = f"{name}.parameters.{key}", getattr(loaded.scenario, name).parameters[key]
+    found, owner = readers(name, key), key.partition(".")[0]
+    if owner in found:
+        message = f"belongs to {SELECTOR_PARAMETERS[name]} '{owner}', this is '{choice}'; remove it"
+        raise loaded.error(where, given, message)
+    try:
+        for declared in found.values():
+            declared.check(quantity(given, declared.unit))
+    except BristleError as error:
+        raise loaded.error(where, given, str(error)) from None
+    return bool(found)
 
 
 def _check_sensors(setup: Setup) -> None:

@@ -120,12 +120,8 @@ class Together:
 
 def _lanes(setup: Setup, name: str) -> Lanes:
     """Return lanes of the program of one FMU, of the chosen law or method alone."""
-    fmu, part = setup.fmus[name], getattr(setup.scenario, name)
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    variant = getattr(part, selector, None)
-    if fmu.has(selector, "parameter"):
-        number = setup.values[name].get(selector, fmu.start(selector))
-        variant = next(choice for choice, value in fmu.choices(selector).items() if value == number)
+    part = getattr(setup.scenario, name)
+    variant = getattr(part, SELECTOR_PARAMETERS.get(name, ""), None)
     return lanes_of(name, variant, getattr(part, "effects", ()))
 
 

@@ -61,7 +61,22 @@ MISTAKES = [
         "parameter of another law",
         "J = ",
         '"lugre.Fc" = "1 N.m"\nJ = ',
-        ["plant.parameters.lugre.Fc", "belongs to law 'lugre'"],
+        [
+            "plant.parameters.lugre.Fc = \"1 N.m\": belongs to law 'lugre', this is 'modified';"
+            " remove it"
+        ],
+    ),
+    (
+        "parameter of another method",
+        'method = "bastin_gevers"',
+        'method = "bastin_gevers"\nparameters = {"rls.memory" = "1 s"}',
+        ["observer.parameters.rls.memory", "belongs to method 'rls', this is 'bastin_gevers'"],
+    ),
+    (
+        "parameter of dry laws outside",
+        "J = ",
+        '"solver.friction_step" = "-1 s"\nJ = ',
+        ['plant.parameters.solver.friction_step = "-1 s"', "outside"],
     ),
     (
         "parameter unit",
@@ -339,6 +354,17 @@ def test_quoted_and_nested_parameter_names_mean_the_same(base: str, scenario_fil
         scenario_file(base.replace("J = ", 'modified.c = "99 1/rad"\nJ = '), "b")
     ).scenario.plant
     assert quoted == nested
+
+
+def test_a_scenario_gives_what_some_laws_read_and_keeps_it_when_the_law_changes(
+    base: str, scenario_file: Maker
+) -> None:
+    path = scenario_file(base.replace("J = ", '"solver.friction_step" = "2e-4 s"\nJ = '))
+    read = []
+    for law in ("modified", "coulomb"):
+        loaded = load(path, [f"plant.law={law}"])
+        read.append(prepare(loaded, build_fmus(loaded)).values["plant"].get("solver.friction_step"))
+    assert read == [None, 2e-4]
 
 
 def test_stimuli_start_with_the_step_they_fall_on(base: str, scenario_file: Maker) -> None:
