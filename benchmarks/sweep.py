@@ -29,16 +29,23 @@ import numpy as np
 from ratios import judge
 
 from bristle.fmus.calls import CONTROL_SIZE
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.design import Design, design
-from bristle.harness.kit import export
-from bristle.harness.loop import Bus, Slaves, simulate
-from bristle.harness.plan import find_fmus, identification, prepare
-from bristle.harness.run import Options
-from bristle.harness.scenario import load
-from bristle.harness.store import Store
-from bristle.harness.sweep import Means, Sweep, load_point, prepare_sweep, run_chunk, run_sweep
-from bristle.harness.together import Together
+from bristle.harness.cosim.loop import Bus, Slaves, simulate
+from bristle.harness.exchange.kit import export
+from bristle.harness.run.run import Options
+from bristle.harness.scenario.catalogue import find_scenario
+from bristle.harness.scenario.plan import find_fmus, identification, prepare
+from bristle.harness.scenario.scenario import load
+from bristle.harness.sweep.design import Design, design
+from bristle.harness.sweep.lanes import Together
+from bristle.harness.sweep.store import Store
+from bristle.harness.sweep.sweep import (
+    Means,
+    Sweep,
+    load_point,
+    prepare_sweep,
+    run_chunk,
+    run_sweep,
+)
 
 ROUNDS = 3
 FEW = 24  # runs of the slow ways

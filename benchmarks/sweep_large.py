@@ -13,11 +13,18 @@ import tempfile
 import time
 from pathlib import Path
 
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.design import design
-from bristle.harness.run import Options
-from bristle.harness.store import Store
-from bristle.harness.sweep import CHUNK_RUNS, Means, packed, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.run.run import Options
+from bristle.harness.scenario.catalogue import find_scenario
+from bristle.harness.sweep.design import design
+from bristle.harness.sweep.store import Store
+from bristle.harness.sweep.sweep import (
+    CHUNK_RUNS,
+    Means,
+    packed,
+    prepare_sweep,
+    run_chunk,
+    run_sweep,
+)
 
 VARY = "plant.parameters.J=uniform(0.0008, 0.0012) kg.m2"
 DURATION = "duration=10 s"

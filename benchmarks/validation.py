@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bristle.harness.run import Options, run
+from bristle.harness.run.run import Options, run
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "lugre_original.toml"
 LARGEST_RATIO = 1 / 3

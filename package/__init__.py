@@ -129,9 +129,9 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import Options
-    from bristle.harness.run import run as run_scenario
+    from bristle.harness.run.run import Options
+    from bristle.harness.run.run import run as run_scenario
+    from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
@@ -202,12 +202,12 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.design import SAMPLINGS, design
-    from bristle.harness.run import Options
-    from bristle.harness.store import Store
-    from bristle.harness.sweep import Means, prepare_sweep, run_sweep
-    from bristle.harness.values import seeds_of
+    from bristle.harness.run.run import Options
+    from bristle.harness.scenario.catalogue import find_scenario
+    from bristle.harness.scenario.vary import seeds_of
+    from bristle.harness.sweep.design import SAMPLINGS, design
+    from bristle.harness.sweep.store import Store
+    from bristle.harness.sweep.sweep import Means, prepare_sweep, run_sweep
     from bristle.result import SweepResult
 
     if not isinstance(vary or {}, Mapping):
@@ -279,7 +279,7 @@ def reproduce(
     BristleError
         If an FMU cannot be built or the folder cannot be written. Nothing is written then.
     """
-    from bristle.harness.reproduce import reproduce as make
+    from bristle.harness.paper.reproduce import reproduce as make
     from bristle.result import Reproduction
 
     folder = as_path("out", out)
@@ -357,7 +357,7 @@ def build(
         If there is no such part, law, method, effect or platform, an effect cannot join the law,
         there is no compiler, or the folder cannot be written.
     """
-    from bristle.harness.catalogue import Choice, build_files
+    from bristle.harness.scenario.catalogue import Choice, build_files
 
     choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
     made = build_files(

@@ -53,9 +53,9 @@ def accept(
     tolerances.
     """
     from bristle.common.output import output_folder
-    from bristle.harness.baseline import make_baseline, refuse_other, write_baseline
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import Options, check
+    from bristle.harness.baseline.baseline import make_baseline, refuse_other, write_baseline
+    from bristle.harness.run.run import Options, check
+    from bristle.harness.scenario.catalogue import find_scenario
 
     refuse_duplicates(scenarios)
     options = Options(

@@ -46,7 +46,7 @@ def compare(
     write FOLDER/compare.html.
     """
     from bristle.common.output import check_not_replaced, replace_file
-    from bristle.harness.comparison import (
+    from bristle.harness.baseline.comparison import (
         compare_folders,
         comparison_json,
         counts,

@@ -28,7 +28,7 @@ from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
-    from bristle.harness.suite import CaseResult
+    from bristle.harness.suite.suite import CaseResult
 
 
 @app.command(
@@ -85,11 +85,11 @@ def suite(
         to_json,
     )
     from bristle.common.provenance import provenance
-    from bristle.harness.run import Options
-    from bristle.harness.suite import find_cases, run_suite
-    from bristle.harness.suite_report import junit as to_junit
-    from bristle.harness.suite_report import render, to_tree
-    from bristle.harness.values import seeds_of, values_of
+    from bristle.harness.run.run import Options
+    from bristle.harness.scenario.vary import seeds_of, values_of
+    from bristle.harness.suite.suite import find_cases, run_suite
+    from bristle.harness.suite.suite_page import junit as to_junit
+    from bristle.harness.suite.suite_page import render, to_tree
 
     cases = find_cases(
         scenarios,
@@ -127,8 +127,8 @@ def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:
     """Print a line a scenario, and what does not hold; with `quiet` only the latter, and the
     sum.
     """
-    from bristle.harness.suite import by_scenario
-    from bristle.harness.suite_report import failures
+    from bristle.harness.suite.suite import by_scenario
+    from bristle.harness.suite.suite_page import failures
 
     for path, runs in by_scenario(tested).items():
         passed = sum(each.verdict == "pass" for each in runs)

@@ -18,8 +18,8 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.fmus import obtain
 from bristle.fmus.build import FMU_NAMES
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.validation import lean_fmus
+from bristle.harness.metrics.validation import lean_fmus
+from bristle.harness.scenario.catalogue import find_scenario
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 

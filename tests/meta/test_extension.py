@@ -16,9 +16,9 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.common.plugins import PLUGINS_VARIABLE, plugin_folders
-from bristle.harness.catalogue import scenarios
-from bristle.harness.plan import find_fmus
-from bristle.harness.scenario import load
+from bristle.harness.scenario.catalogue import scenarios
+from bristle.harness.scenario.plan import find_fmus
+from bristle.harness.scenario.scenario import load
 from bristle.observer import methods, observer_program
 from bristle.plant import effects as effect_package
 from bristle.plant.effects import effects
