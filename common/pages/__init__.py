@@ -13,7 +13,7 @@ import re
 from contextlib import suppress
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 from urllib.parse import quote
 
 from markupsafe import Markup, escape
@@ -35,9 +35,16 @@ def component(name: str, *arguments: object) -> Markup:
     return Markup(getattr(_environment().get_template("components.html").module, name)(*arguments))
 
 
+def finite(value: object) -> TypeGuard[float]:
+    """Return whether something is a finite number."""
+    return (
+        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    )
+
+
 def number(value: object, digits: int = 4) -> Markup:
     """Return a number as HTML text; a dash if it is none or not finite."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not finite(value):
         return Markup("–")
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         rounded = f"{value:.{digits}g}"
@@ -86,6 +93,7 @@ def _environment() -> Environment:
         "data": _data,
         "anchored": _anchored,
     }
+    made.tests["finite"] = finite
     made.globals["own_text"] = lambda name: Markup(_text_of(name))
     return made
 

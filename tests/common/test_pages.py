@@ -104,7 +104,7 @@ def test_provenance_names_what_is_known_file_by_file():
     made = {"version": "1", "folder": None, "seed": 3, "records_sha256": {"a.csv": "12"}}
     text = component("provenance", made)
     assert re.findall(r"<dt>(.*?)</dt>", text) == ["version", "seed of the reference", "a.csv"]
-    assert "<code>12</code>" in text
+    assert '<code class="sub">12</code>' in text
 
 
 def test_the_image_says_what_is_seen_and_the_data_cannot_end_the_script():
