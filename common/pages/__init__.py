@@ -37,9 +37,7 @@ def component(name: str, *arguments: object) -> Markup:
 
 def finite(value: object) -> TypeGuard[float]:
     """Return whether something is a finite number."""
-    return (
-        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    )
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def number(value: object, digits: int = 4) -> Markup:
