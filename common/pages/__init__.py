@@ -76,9 +76,10 @@ def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     made = Environment(
-        autoescape=True,
+        autoescape=lambda name: name is None or not name.endswith(".md"),
         undefined=StrictUndefined,
         loader=FunctionLoader(_found),
+        keep_trailing_newline=True,
         trim_blocks=True,
         lstrip_blocks=True,
     )
