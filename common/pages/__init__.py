@@ -76,6 +76,7 @@ def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     made = Environment(
+        extensions=["jinja2.ext.do"],
         autoescape=lambda name: name is None or not name.endswith(".md"),
         undefined=StrictUndefined,
         loader=FunctionLoader(_found),
