@@ -192,8 +192,8 @@ def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX 
     line = []
     for i in range(LONGEST_DELAY + 1):
         meaning = f"{variable.name} of {i} samples before"
-        sample = State(f"{variable.name}_{i}", variable.unit, meaning, initial=start)
-        line.append(system.sampled(sample, after=True))
+        state = State(f"{variable.name}_{i}", variable.unit, meaning, initial=start)
+        line.append(system.sampled(state, after=True))
     following = [value, *line[:-1]]
     for i, sample in enumerate(following):
         system.update(f"{variable.name}_{i}", sample)
