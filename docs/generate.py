@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # the modules beside this file
@@ -40,7 +40,7 @@ DECLARED = {
     "observers": (observer, "METHOD"),
 }
 Catalogue = Mapping[str, Collection[str]]  # names by kind: laws, effects, observers
-SOURCE = re.compile(r"Source: (.+?)(?:\n\s*\n|\Z)", re.DOTALL)
+SOURCE = re.compile(r"Source:\s+(.+?)(?:\n\s*\n|\Z)", re.DOTALL)
 
 
 def catalogue() -> Catalogue:
@@ -219,6 +219,14 @@ not exist fails every limit.
 | quantity | unit | meaning |
 |---|---|---|"""
 
+STIMULI_HEAD = """## Stimuli
+
+Inputs that `[[stimuli]]` may change. `u` takes the place of the controller, `u_ff` is added to its
+voltage.
+
+| variable | of the | unit |
+|---|---|---|"""
+
 BUS_HEAD = """
 ## Signals of the bus
 
@@ -247,50 +255,39 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         [n for n in known if n in names[k]]
         for k, known in (("laws", laws()), ("observers", methods()))
     )
-    inputs = {
-        name: (unit, BUS_PORTS[unit]["inputs"][name])
-        for unit, free in FREE_INPUTS.items()
-        for name in free
-    }
-    offered_effects = [
-        *(name for name in effects(packages=False) if name in names["effects"]),
-        *SIGNAL_EFFECTS,
-    ]
+    free = ((part, name) for part, names in FREE_INPUTS.items() for name in names)
+    inputs = {name: (part, BUS_PORTS[part]["inputs"][name]) for part, name in free}
+    offered_effects = [name for name in effects(packages=False) if name in names["effects"]]
     choices = {
         ("Plant", "law"): offered_laws,
-        ("Plant", "effects"): offered_effects,
+        ("Plant", "effects"): [*offered_effects, *SIGNAL_EFFECTS],
         ("Observer", "method"): offered_methods,
         ("Stimulus", "variable"): list(inputs),
     }
-    text = [SCENARIO_HEAD, *key_tables(Scenario, choices), "## Stimuli", ""]
-    text += [
-        (
-            "Inputs that `[[stimuli]]` may change. `u` takes the place of the controller, `u_ff` is"
-            " added to its voltage."
-        ),
-        "",
-    ]
-    text += ["| variable | of the | unit |", "|---|---|---|"]
-    text += [
-        *(f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()),
-        CHECKS_HEAD,
-    ]
-    text += [
-        f"| `{path}` | {unit} | {meaning} |" for path, (unit, meaning) in CHECK_QUANTITIES.items()
-    ]
-    text += ["", "| PARAMETER | unit | meaning |", "|---|---|---|"]
-    text += [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in OBSERVED.items()]
-    text += ["", "| STATE | unit | meaning |", "|---|---|---|"]
-    text += [f"| `{name}` | {SIGNALS[name][0]} | {SIGNALS[name][1]} |" for name in STATES]
-    text += [BUS_HEAD]
-    text += [
-        f"| `{name}` | {part} | {side[:-1]} | {unit} |"
-        f" {'yes' if name in NEEDED_PORTS[part] else ''} |".replace("  |", " |")
-        for part, sides in BUS_PORTS.items()
-        for side, ports in sides.items()
-        for name, unit in ports.items()
-    ]
-    return "\n".join([*text, ""])
+    text = [SCENARIO_HEAD, *key_tables(Scenario, choices), STIMULI_HEAD]
+    text += [f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()]
+    text += [CHECKS_HEAD, *_rows(CHECK_QUANTITIES)]
+    text += ["", "| PARAMETER | unit | meaning |", "|---|---|---|", *_rows(OBSERVED)]
+    states = {name: SIGNALS[name] for name in STATES}
+    text += ["", "| STATE | unit | meaning |", "|---|---|---|", *_rows(states)]
+    return "\n".join([*text, BUS_HEAD, *_bus_rows(), ""])
+
+
+def _rows(meanings: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the rows of a table of names, units and meanings."""
+    return [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in meanings.items()]
+
+
+def _bus_rows() -> list[str]:
+    """Return the rows of the table of what the FMUs exchange."""
+    rows = []
+    for part, sides in BUS_PORTS.items():
+        for side, ports in sides.items():
+            for name, unit in ports.items():
+                needed = "yes" if name in NEEDED_PORTS[part] else ""
+                row = f"| `{name}` | {part} | {side[:-1]} | {unit} | {needed} |"
+                rows.append(row.replace("  |", " |"))
+    return rows
 
 
 def model_page(shown: Catalogue | None = None) -> str:

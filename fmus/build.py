@@ -49,8 +49,7 @@ def _check(
     what: str,
     fmi: int,
     kind: str,
-    law: str | None,
-    method: str | None,
+    chosen: Mapping[str, str | None],
     effects: Sequence[str],
     platforms: str = "host",
 ) -> str | None:
@@ -70,14 +69,14 @@ def _check(
         raise BristleError(
             f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}"
         )
-    for name, value in (("law", law), ("method", method)):
+    for name, value in chosen.items():
         if value is not None and VARIANT_OPTION.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
     if isinstance(effects, str):
         raise BristleError(f"effects is the text '{effects}'; give a list of names: ['{effects}']")
     if effects and what != "plant":
         raise BristleError(f"the {what} has no effects to add ('{effects[0]}'); leave them out")
-    return law if what == "plant" else method
+    return chosen["law" if what == "plant" else "method"]
 
 
 def program_of(
@@ -166,9 +165,8 @@ def build(
     from bristle.fmus.pack import write_archive
     from bristle.fmus.related import related_files
 
-    program = program_of(
-        what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder
-    ).preset(parameters or {})
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects, platforms)
+    program = program_of(what, variant, effects, encoder).preset(parameters or {})
     declared = program if units is None else program.in_units(units)
     content = program_files(declared, fmi, kind, platforms)
     return write_archive(Path(out), {**content, **(related or related_files)(content)})
@@ -292,32 +290,24 @@ def obtain(
     BristleError
         As of `build`.
     """
-    variant = _check(what, fmi, kind, law, method, effects)
-    parts = [("effects", effect) for effect in sorted(effects)] + (
-        [(VARIANT_KIND[what], variant)] if variant else []
-    )
-    key = _key(
-        [code for part in parts for code in code_offered(*part)],
-        kind,
-        what,
-        fmi,
-        variant,
-        encoder,
-        *sorted(effects),
-        *sorted((parameters or {}).items()),
-    )
-    name = "-".join(
-        [what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]]
-    )
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects)
+    parts = [("effects", effect) for effect in sorted(effects)]
+    if variant:
+        parts.append((VARIANT_KIND[what], variant))
+    code = [text for part in parts for text in code_offered(*part)]
+    values = sorted((parameters or {}).items())
+    key = _key(code, kind, what, fmi, variant, encoder, *sorted(effects), *values)
+    which = [what, *([variant] if variant else []), *sorted(effects)]
+    name = "-".join([*which, f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
         from bristle.fmus.pack import write_archive
 
         program = program_of(what, variant, effects, encoder).preset(parameters or {})
         if kind == "native":
-            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
             message = "compiling an FMU (%s) once, about %.0f s; later runs take it from the cache"
-            logging.getLogger("bristle").info(message, which, compile_seconds(program))
+            seconds = compile_seconds(program)
+            logging.getLogger("bristle").info(message, ", ".join(which), seconds)
         write_archive(out, program_files(program, fmi, kind))
 
     return cached(f"{name}.fmu", make)
