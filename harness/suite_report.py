@@ -13,8 +13,9 @@ from xml.etree import ElementTree
 from bristle.common.html import badge, beside, identifier, number, page, table, tally, unit
 from bristle.common.xml import printable
 from bristle.harness.metrics import SIGNS, check_unit
-from bristle.harness.suite import CaseResult, CheckSummary, by_scenario, summaries
+from bristle.harness.suite import Case, CaseResult, CheckSummary, by_scenario, summaries
 
+NOT_RUN = "another scenario of the suite cannot be run, so none was"
 VERDICT_BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
 
 
@@ -68,9 +69,10 @@ def to_tree(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> dict
     }
 
 
-def junit(tested: Sequence[CaseResult]) -> bytes:
-    """Return JUnit: a suite a scenario, a case a run; what a check demands stands in its
-    failure.
+def junit(tested: Sequence[CaseResult], waiting: Sequence[Case] = ()) -> bytes:
+    """Return JUnit: a suite a scenario, a case a run; what a check demands stands in its failure.
+
+    `waiting` are cases that were not run because others cannot be; they are skipped ones.
     """
     root = ElementTree.Element("testsuites")
     for path, runs in by_scenario(tested).items():
@@ -92,6 +94,13 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
                 ElementTree.SubElement(
                     case, kind, {"message": said[0] if said else ""}
                 ).text = "\n".join(said)
+    for left in waiting:
+        name, attributes = left.path.stem, {"tests": "1", "skipped": "1"}
+        suite = ElementTree.SubElement(root, "testsuite", {"name": name, **attributes})
+        case = {"classname": name, "name": left.name or name, "time": "0.000"}
+        ElementTree.SubElement(
+            ElementTree.SubElement(suite, "testcase", case), "skipped", {"message": NOT_RUN}
+        )
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
