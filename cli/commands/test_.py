@@ -91,13 +91,13 @@ def suite(
     from bristle.harness.suite.suite_page import junit as to_junit
     from bristle.harness.suite.suite_page import render, to_tree
 
-    cases = find_cases(
-        scenarios,
-        () if seeds is None else seeds_of(seeds),
-        [values_of(each) for each in vary or ()],
-        set_ or (),
-    )
+    asked = () if seeds is None else seeds_of(seeds)
+    varied = [values_of(each) for each in vary or ()]
     check_files_writable(file for file in (junit, json) if file is not None)
+    try:
+        cases = find_cases(scenarios, asked, varied, set_ or ())
+    except BristleError as error:
+        raise _not_run(error, junit, debug) from None
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
@@ -110,8 +110,7 @@ def suite(
                     lambda name, done, of: tell(name, done / of),
                 )
         except BristleError as error:
-            complain_each(error, debug)
-            raise typer.Exit(ERROR) from None
+            raise _not_run(error, junit, debug) from None
         origin = {**provenance(), "command": command_line()}
         tree = to_json(to_tree(tested, origin)).encode()
         content = {"suite.json": tree, "index.html": render(tested, origin).encode()}
@@ -121,6 +120,22 @@ def suite(
     replace_each({path: text for path, text in reports.items() if path is not None})
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS
+
+
+def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit:
+    """Print why nothing is run, also into the JUnit file; return what ends the command."""
+    from bristle.common.output import replace_each
+    from bristle.harness.suite import Case, CaseResult, CasesError
+    from bristle.harness.suite.suite_page import junit as to_junit
+
+    complain_each(error, debug)
+    if isinstance(error, CasesError):
+        tested, waiting = error.tested, error.waiting
+    else:
+        tested, waiting = [CaseResult(Case(Path("suite")), "error", message=str(error))], []
+    if junit is not None:
+        replace_each({junit: to_junit(tested, waiting)})
+    return typer.Exit(ERROR)
 
 
 def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:

@@ -79,6 +79,24 @@ class CaseResult:
         return self.case.folder / self.case.path.stem / "report.html"
 
 
+class CasesError(BristleError):
+    """Cases that cannot be run, so that none of the suite is; a line for each mistake.
+
+    Attributes
+    ----------
+    tested : list of CaseResult
+        Those cases, of verdict error.
+    waiting : list of Case
+        The others.
+    """
+
+    def __init__(
+        self, message: str, tested: Sequence[CaseResult] = (), waiting: Sequence[Case] = ()
+    ) -> None:
+        super().__init__(message)
+        self.tested, self.waiting = list(tested), list(waiting)
+
+
 @dataclass(frozen=True)
 class CheckSummary:
     """One limit of one check over all runs of a scenario: how often it held, median and worst
@@ -166,7 +184,7 @@ def run_suite(
 
     Raises
     ------
-    BristleError
+    CasesError
         Before anything runs, if a scenario cannot be run: one line for each.
     """
     options = options or Options()
@@ -272,17 +290,22 @@ def _refuse_folders(of_key: Sequence[str]) -> None:
 
 
 def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
-    """Check each scenario with each combination of values, and build its FMUs; raise `BristleError`
+    """Check each scenario with each combination of values, and build its FMUs; raise `CasesError`
     with all mistakes.
     """
-    mistakes = []
+    mistakes: dict[tuple[Path, tuple[str, ...]], str] = {}
     for case in {replace(case, seed=case.seed and 1): case for case in cases}.values():
         try:
             build_and_check(case.path, out / case.folder, _options(case, options))
         except BristleError as error:
-            mistakes.append(str(error))
+            mistakes[case.path, case.values] = str(error)
     if mistakes:
-        raise BristleError("\n".join(mistakes))
+        message = {case: mistakes.get((case.path, case.values)) for case in cases}
+        raise CasesError(
+            "\n".join(mistakes.values()),
+            [CaseResult(case, "error", message=said) for case, said in message.items() if said],
+            [case for case, said in message.items() if not said],
+        )
 
 
 def _options(case: Case, options: Options) -> Options:
