@@ -125,7 +125,7 @@ def suite(
 def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit:
     """Print why nothing is run, also into the JUnit file; return what ends the command."""
     from bristle.common.output import replace_each
-    from bristle.harness.suite import Case, CaseResult, CasesError
+    from bristle.harness.suite.suite import Case, CaseResult, CasesError
     from bristle.harness.suite.suite_page import junit as to_junit
 
     complain_each(error, debug)
