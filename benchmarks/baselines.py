@@ -29,7 +29,7 @@ from shared import upper_bound, write_json
 
 from bristle.common.errors import BristleError
 from bristle.harness.baseline.baseline import Baseline, Signals, make_baseline, quantities_of
-from bristle.harness.baseline.comparison import Comparison, compare_sides
+from bristle.harness.baseline.comparison import compare_sides
 from bristle.harness.baseline.repeats import (
     Repeat,
     Repeated,
@@ -40,10 +40,12 @@ from bristle.harness.baseline.repeats import (
     run_rounded,
 )
 from bristle.harness.baseline.tube import SAFETY
-from bristle.harness.run.run import check
+from bristle.harness.baseline.verdicts import Comparison
+from bristle.harness.cosim.ports import PLANT
+from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import scenario_files
-from bristle.harness.scenario.plan import WHOLE_PARAMETERS, Setup
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.reading import load
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
 JOBS = 2  # processes
@@ -143,7 +145,7 @@ def changed(setup: Setup) -> Iterator[tuple[str, Setup]]:
     others = set(plant.choices("law")) - {getattr(setup.scenario.plant, "law", None)}
     for name in plant.names("parameter"):
         idle = (
-            name in (*IDLE, *WHOLE_PARAMETERS["plant"])
+            name in (*IDLE, *PLANT.whole)
             or name.startswith("solver.")
             or name.partition(".")[0] in others
         )
@@ -179,7 +181,7 @@ def try_scenario(name: str, path: Path) -> Tried:
     """Make the baseline of a scenario, and run it without and with changes."""
     begin, tried = time.perf_counter(), Tried()
     with tempfile.TemporaryDirectory() as folder:
-        checked = check(path, Path(folder))
+        checked = build_and_check(path, Path(folder))
         try:
             baseline = make_baseline(checked, ways=own_ways(checked.setup))
         except BristleError as error:

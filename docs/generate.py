@@ -16,8 +16,8 @@ from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.fmus.conformance import BEHAVIOUR, POINTS
-from bristle.harness.metrics.estimates import CHECK_QUANTITIES, STATES
-from bristle.harness.scenario.plan import BUS_PORTS, FREE_INPUTS, NEEDED_PORTS
+from bristle.harness.cosim.ports import PORTS
+from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
 from bristle.harness.scenario.scenario import Scenario
 from bristle.model.declarations import ENTRY
 from bristle.model.normalised import OBSERVED
@@ -248,9 +248,7 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         for k, known in (("laws", laws()), ("observers", methods()))
     )
     inputs = {
-        name: (unit, BUS_PORTS[unit]["inputs"][name])
-        for unit, free in FREE_INPUTS.items()
-        for name in free
+        name: (unit, ports.inputs[name]) for unit, ports in PORTS.items() for name in ports.free
     }
     offered_effects = [
         *(name for name in effects(packages=False) if name in names["effects"]),
@@ -284,11 +282,10 @@ def scenario_page(shown: Catalogue | None = None) -> str:
     text += [f"| `{name}` | {SIGNALS[name][0]} | {SIGNALS[name][1]} |" for name in STATES]
     text += [BUS_HEAD]
     text += [
-        f"| `{name}` | {part} | {side[:-1]} | {unit} |"
-        f" {'yes' if name in NEEDED_PORTS[part] else ''} |".replace("  |", " |")
-        for part, sides in BUS_PORTS.items()
-        for side, ports in sides.items()
-        for name, unit in ports.items()
+        f"| `{name}` | {part} | {'input' if name in ports.inputs else 'output'} | {unit} |"
+        f" {'yes' if name in ports.needed else ''} |".replace("  |", " |")
+        for part, ports in PORTS.items()
+        for name, unit in ports.units.items()
     ]
     return "\n".join([*text, ""])
 

@@ -129,7 +129,7 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.run.run import run as run_scenario
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
@@ -202,12 +202,14 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import SAMPLINGS, design
+    from bristle.harness.sweep.executor import Means
+    from bristle.harness.sweep.spec import prepare_sweep
     from bristle.harness.sweep.store import Store
-    from bristle.harness.sweep.sweep import Means, prepare_sweep, run_sweep
+    from bristle.harness.sweep.sweep import run_sweep
     from bristle.result import SweepResult
 
     if not isinstance(vary or {}, Mapping):

@@ -170,7 +170,7 @@ class Result(_Answer):
         checks.
         """
         from bristle.common import pages
-        from bristle.harness.metrics.estimates import SIGNS
+        from bristle.harness.metrics.checks import SIGNS
 
         return pages.render("bristle/result.html", result=self, signs=SIGNS)
 
@@ -288,7 +288,7 @@ class Reproduction(_Answer):
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and eq. (25) of all models."""
         from bristle.common import pages
-        from bristle.harness.paper.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         return pages.render("bristle/reproduction.html", result=self, compared=COMPARED)
 
@@ -296,7 +296,7 @@ class Reproduction(_Answer):
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"
 
     def __str__(self) -> str:
-        from bristle.harness.paper.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         lines = [
             f"{self.verdict}; eq. (25), %",

@@ -43,7 +43,7 @@ def coupling(
     signals and estimates.
     """
     from bristle.harness.coupling import coupling as library
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.catalogue import find_scenario
 
     with fraction("coupling") as tell:

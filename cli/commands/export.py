@@ -46,7 +46,7 @@ def export(
     receives it.
     """
     from bristle.harness.exchange.kit import export as write
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.catalogue import find_scenario
 
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed)

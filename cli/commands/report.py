@@ -26,8 +26,8 @@ def report(
     from bristle.harness.sweep.store import Store
     from bristle.harness.sweep.sweep_page import Runs, render, summary
 
-    runs = Runs(Store(store))
-    with output_folder(out):
+    with output_folder(out, "report.json"):
+        runs = Runs(Store(store))
         content = {
             "report.html": render(runs).encode(),
             "report.json": to_json(summary(runs)).encode(),

@@ -85,7 +85,7 @@ def suite(
         to_json,
     )
     from bristle.common.provenance import provenance
-    from bristle.harness.run.run import Options
+    from bristle.harness.run.checked import Options
     from bristle.harness.scenario.vary import seeds_of, values_of
     from bristle.harness.suite.suite import find_cases, run_suite
     from bristle.harness.suite.suite_page import junit as to_junit

@@ -12,6 +12,7 @@ from bristle.common.drawing import ESTIMATE, STYLE, Drawing, svg
 from bristle.common.output import (
     check_no_folder,
     check_not_replaced,
+    check_page,
     check_writable,
     replace_files,
     to_json,
@@ -49,6 +50,7 @@ def write_validation(
         If the folder cannot be written; it is then as it was.
     """
     check_writable(out)
+    check_page(out, "validation.json")
     check_no_folder(out, VALIDATION_FILES)
     made = provenance() if made is None else made
     content = {

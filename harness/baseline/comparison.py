@@ -5,8 +5,8 @@ runs measure, and provenance.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.common.files import check_regular
-from bristle.common.output import output_folder, plain, replace_files, to_json
-from bristle.common.provenance import provenance
+from bristle.common.output import output_folder, replace_files
+from bristle.common.signals import Array
 from bristle.harness.baseline.baseline import (
     Baseline,
     Judged,
@@ -26,11 +26,16 @@ from bristle.harness.baseline.baseline import (
     read_baseline,
     read_json,
 )
-from bristle.harness.baseline.tube import EXACT_MARGIN, written_margin
-from bristle.harness.metrics.estimates import look_up
+from bristle.harness.baseline.tube import written_margin
+from bristle.harness.baseline.verdicts import (
+    Comparison,
+    QuantityVerdict,
+    SignalCourse,
+    SignalVerdict,
+    comparison_json,
+)
+from bristle.harness.metrics.checks import look_up
 from bristle.harness.run.results import missing, rows_of, thinned
-
-Array = NDArray[np.float64]
 
 DURATION_SLACK = 1e-6  # steps by which times of signals.csv may be off their row
 RESULT_ORIGINS = (  # what is said where it is not the same: path in result.json, and its name
@@ -42,96 +47,6 @@ RESULT_ORIGINS = (  # what is said where it is not the same: path in result.json
     ("record.sha256", "SHA-256 of the record"),
     ("verdict", "verdict of the checks"),
 )
-
-
-@dataclass(frozen=True)
-class SignalVerdict:
-    """A signal at its worst point: distance from the reference over what is allowed (1: at the
-    edge), or why there is none.
-    """
-
-    name: str
-    passed: bool
-    share: float | None = None
-    time: float | None = None
-    value: float | None = None
-    reference: float | None = None
-    low: float | None = None
-    high: float | None = None
-    why: str = ""
-
-    @property
-    def margins(self) -> tuple[float, float] | None:
-        """How far the signal may be below and above the reference at its worst point: 0 where it
-        must be exactly 0.
-        """
-        if self.reference is None or self.low is None or self.high is None:
-            return None
-        below, above = self.reference - self.low, self.high - self.reference
-        return (0.0, 0.0) if max(below, above) < EXACT_MARGIN else (below, above)
-
-
-@dataclass(frozen=True)
-class QuantityVerdict:
-    """A number of both results, how far they may be apart, and whether they are; None if that is
-    not judged.
-    """
-
-    path: str
-    unit: str
-    first: float | None
-    second: float | None
-    tolerance: float | None
-    passed: bool | None
-    why: str = ""
-
-
-@dataclass(frozen=True)
-class SignalCourse:
-    """What a figure shows of a signal: times [s], reference, lower and upper bound, and the run,
-    shape (n,) each.
-    """
-
-    time: Array
-    reference: Array
-    lower: Array
-    upper: Array
-    values: Array
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Verdicts of all signals and numbers, what makes both incomparable, and what is said without
-    being judged.
-
-    `rows` instants were compared, of `instants` that A has; `made` holds where A and B come from,
-    as of their result.json; `command` repeats the comparison; `units` are those of the signals, as
-    far as they are known.
-    """
-
-    first: str
-    second: str
-    scenario: str
-    rows: int
-    instants: int
-    refused: tuple[str, ...]
-    signals: tuple[SignalVerdict, ...]
-    quantities: tuple[QuantityVerdict, ...]
-    notes: tuple[str, ...]
-    courses: Mapping[str, SignalCourse]
-    made: tuple[Mapping[str, Any], Mapping[str, Any]]
-    command: str = ""
-    units: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def passed(self) -> bool:
-        """Whether B is where A allows it to be: everywhere, and in every number that is judged."""
-        signals = bool(self.signals) and all(each.passed for each in self.signals)
-        return (
-            not self.refused
-            and signals
-            and all(each.passed is not False for each in self.quantities)
-        )
 
 
 # -- reading ---------------------------------------------------------------------------------------
@@ -250,57 +165,65 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
     """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both
     have.
     """
-    notes, refused, scenario = (
-        _origins(a.result, b.result),
-        _refused(a.result, b.result),
-        str(a.result["scenario"]),
+    result_a, result_b = a.result, b.result
+    notes = _origins(result_a, result_b)
+    refused = _refused(result_a, result_b)
+    found = Comparison(
+        "A",
+        "B",
+        scenario=str(result_a["scenario"]),
+        rows=0,
+        instants=len(a.signals.rows),
+        refused=refused,
+        signals=(),
+        quantities=(),
+        notes=tuple(notes),
+        courses={},
+        made=(_made(result_a), _made(result_b)),
     )
-    made = _made(a.result), _made(b.result)
     rows, at_a, at_b = np.intersect1d(
         a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True
     )
-    if not refused and (lost := missing(rows, thinned(rows_of(a.result)))):
-        first = lost.first * float(a.result["step_s"])
-        refused = (
-            (
-                f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
-                " the scenario of B again"
-            ),
-        )
-    instants = len(a.signals.rows)
-    if refused:
-        return Comparison("A", "B", scenario, 0, instants, refused, (), (), tuple(notes), {}, made)
+    if not refused and (lost := missing(rows, thinned(rows_of(result_a)))):
+        first = lost.first * float(result_a["step_s"])
+        line = f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
+        found = replace(found, refused=(f"{line} the scenario of B again",))
+    if found.refused:
+        return found
     new = [name for name in b.signals.values if name not in a.signals.values]
     notes += [f"signals that only B has, not judged: {', '.join(new)}"] if new else []
-    time = np.asarray(rows * float(a.result["step_s"]), dtype=np.float64)
-    signals, courses = [], {}
-    for name, expected in a.signals.values.items():
-        if name not in b.signals.values:
-            signals.append(SignalVerdict(name, False, why="B has no such signal"))
-            continue
-        lower, upper = a.signals.lower[name][at_a], a.signals.upper[name][at_a]
-        courses[name] = SignalCourse(
-            time, expected[at_a], lower, upper, b.signals.values[name][at_b]
+    time = np.asarray(rows * float(result_a["step_s"]), dtype=np.float64)
+    courses = _courses(a.signals, b.signals, time, at_a, at_b)
+    return replace(
+        found,
+        rows=len(rows),
+        signals=tuple(
+            judge_signal(name, courses[name])
+            if name in courses
+            else SignalVerdict(name, False, why="B has no such signal")
+            for name in a.signals.values
+        ),
+        quantities=tuple(
+            judge_quantity(path, each, b.quantities.get(path))
+            for path, each in a.quantities.items()
+        ),
+        notes=tuple(notes),
+        courses=courses,
+        units={**result_b.get("units", {}), **result_a.get("units", {})},
+    )
+
+
+def _courses(
+    a: Signals, b: Signals, time: Array, at_a: NDArray[np.intp], at_b: NDArray[np.intp]
+) -> dict[str, SignalCourse]:
+    """Return of each signal of A that B has, too, what both have at the same times."""
+    return {
+        name: SignalCourse(
+            time, expected[at_a], a.lower[name][at_a], a.upper[name][at_a], b.values[name][at_b]
         )
-        signals.append(judge_signal(name, courses[name]))
-    quantities = tuple(
-        judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items()
-    )
-    units = {**b.result.get("units", {}), **a.result.get("units", {})}
-    return Comparison(
-        "A",
-        "B",
-        scenario,
-        len(rows),
-        instants,
-        (),
-        tuple(signals),
-        quantities,
-        tuple(notes),
-        courses,
-        made,
-        units=units,
-    )
+        for name, expected in a.values.items()
+        if name in b.values
+    }
 
 
 def _made(result: Mapping[str, Any]) -> dict[str, Any]:
@@ -430,71 +353,3 @@ def write_comparison(found: Comparison, out: Path) -> Path:
     with output_folder(out):
         files = {"compare.html": render(found).encode(), "compare.json": comparison_json(found)}
         return replace_files(out, files, list(files))[0]
-
-
-def comparison_json(found: Comparison) -> bytes:
-    """Return the content of compare.json."""
-    return to_json(
-        plain(
-            {
-                "scenario": found.scenario,
-                "verdict": "pass" if found.passed else "differs",
-                "first": found.first,
-                "second": found.second,
-                "rows": found.rows,
-                "instants": found.instants,
-                "refused": list(found.refused),
-                "notes": list(found.notes),
-                "signals": [_row(each) for each in found.signals],
-                "quantities": [_row(each) for each in found.quantities],
-                "provenance": {
-                    **provenance(),
-                    "command": found.command,
-                    "first": found.made[0],
-                    "second": found.made[1],
-                },
-            }
-        )
-    ).encode()
-
-
-def _row(each: SignalVerdict | QuantityVerdict) -> dict[str, Any]:
-    row = dict(vars(each))
-    row["pass"] = row.pop("passed")
-    return row
-
-
-def differences(found: Comparison) -> list[str]:
-    """Return a line for each thing that differs."""
-    lines = list(found.refused)
-    for signal in (each for each in found.signals if not each.passed):
-        at = "" if signal.time is None else f" at {signal.time:g} s"
-        lines.append(f"{signal.name}{at}: {signal.why or f'{signal.value:.6g}'}{_allowed(signal)}")
-    for each in (each for each in found.quantities if each.passed is False):
-        lines.append(f"{each.path}: {each.why or quantity_text(each)}")
-    return lines
-
-
-def _allowed(signal: SignalVerdict) -> str:
-    """Return the reference at the worst point and how far the signal may be below and above it."""
-    if signal.margins is None:
-        return ""
-    below, above = signal.margins
-    allowed = f"{-below:.2g} to {above:+.2g}" if above else "exactly 0"
-    return f", reference {signal.reference:.6g}, allowed {allowed}"
-
-
-def quantity_text(each: QuantityVerdict) -> str:
-    """Return a number of B beside that of A."""
-    unit = "" if each.unit == "1" else f" {each.unit}"
-    return (
-        f"{each.second:.6g}{unit} in B, {each.first:.6g}{unit} in A, allowed ± {each.tolerance:.2g}"
-    )
-
-
-def counts(signals: Sequence[SignalVerdict]) -> tuple[int, int]:
-    """Return how many signals are inside their tubes, of how many that were judged or are
-    missing.
-    """
-    judged = [each for each in signals if not (each.passed and each.why)]
-    return sum(each.passed for each in judged), len(judged)

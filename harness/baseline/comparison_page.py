@@ -27,14 +27,14 @@ from bristle.common.drawing import (
 )
 from bristle.common.pages import unit
 from bristle.common.time_plot import extremes
-from bristle.harness.baseline.comparison import (
+from bristle.harness.baseline.tube import EXACT_MARGIN
+from bristle.harness.baseline.verdicts import (
     Comparison,
     SignalCourse,
     SignalVerdict,
     counts,
     differences,
 )
-from bristle.harness.baseline.tube import EXACT_MARGIN
 
 PAGE_BYTES = 1_000_000  # of the page, which then fits into a mail
 COURSE_SIZE = (8.6, 1.9)  # width and height of the figure of a signal [inch]

@@ -12,15 +12,8 @@ import numpy as np
 
 from bristle.fmus.calls import Control
 from bristle.fmus.isolate import isolated
-from bristle.harness.cosim.loop import (
-    Bus,
-    Failure,
-    Progress,
-    Readings,
-    Trace,
-    default_engine,
-    simulate,
-)
+from bristle.harness.cosim.bus import Bus, Failure, Progress, Readings, Trace
+from bristle.harness.cosim.loop import default_engine, simulate
 
 
 def simulate_isolated(

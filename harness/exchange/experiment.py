@@ -26,8 +26,8 @@ from bristle.common.provenance import provenance
 from bristle.common.signals import Array, signals_of
 from bristle.fmus.host import Fmu
 from bristle.fmus.related import FOLDER, MANIFEST, OWN_ANNOTATION, SUMS
+from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
 from bristle.harness.cosim.isolate import simulate_isolated
-from bristle.harness.cosim.loop import Bus, Instance, Port, Trace
 from bristle.harness.exchange.archive import Archive, tree_of
 from bristle.harness.exchange.replay import (
     STEPS_BY_DEFAULT,

@@ -12,7 +12,7 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.signals import Array, table_text
-from bristle.harness.cosim.loop import Trace
+from bristle.harness.cosim.bus import Trace
 
 MOST_ROWS = 2001  # of a table of signals
 LONGEST_REPLAY = 10_000_000  # steps

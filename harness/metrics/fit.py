@@ -11,13 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.metrics import mse_percent
+from bristle.common.signals import Array
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Drive
-
-Array = NDArray[np.float64]
+from bristle.harness.cosim.drive import Drive
 
 FIT_THREADS = 2  # simulations at a time
 FIRST_STAGE_SECONDS = 15.0  # s at the start of the record, on which start values are compared

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bristle.harness.cosim.loop import Trace
-
-Array = NDArray[np.float64]
+from bristle.common.signals import Array
+from bristle.harness.cosim.bus import Trace
 
 TRACKING_SHARE = 0.25  # share of the run, at its end, over which the tracking error is taken
 

@@ -10,13 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.metrics.fit import LEAN_PARAMETERS, Data, Fit, LeanModel, fit
 from bristle.harness.scenario.plan import Setup
-
-Array = NDArray[np.float64]
 
 # What each lean model (with J = 1 kg.m2) needs to know: its parameter -> the observer's estimate.
 MODEL_PARAMETERS = {

@@ -8,9 +8,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bristle.common.drawing import (
     BASELINE,
     DEGREES,
@@ -32,7 +29,7 @@ from bristle.common.drawing import (
 )
 from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.harness.paper.printed_numbers import PRINTED
-from bristle.harness.paper.reproduce import (
+from bristle.harness.paper.schemes import (
     BASELINE_SCHEME,
     FILTER_ORDERS,
     LETTERS,
@@ -43,8 +40,6 @@ from bristle.harness.paper.reproduce import (
 )
 from bristle.harness.run.figure_text import MODEL_LABELS
 from bristle.harness.run.figures import MODEL_COLOURS, PLAIN_SYMBOLS
-
-Array = NDArray[np.float64]
 
 SCHEME_COLOURS = {"printed": BASELINE, "repaired": OTHER, "best": ESTIMATE}
 # several estimates in one pair of axes need several colours

@@ -7,7 +7,7 @@ from typing import Any
 
 from bristle.common import pages
 from bristle.harness.paper.printed_numbers import FIGURES, PRINTED
-from bristle.harness.paper.reproduce import COMPARED, LETTERS, SCHEMES, TEST_PLANTS
+from bristle.harness.paper.schemes import COMPARED, LETTERS, SCHEMES, TEST_PLANTS
 
 IDENTIFIED = ("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import DEGREES
-
-if TYPE_CHECKING:
-    from bristle.harness.run.figures import Pictures
+from bristle.harness.run.pictures import Pictures
 
 MODEL_LABELS = {  # of the models that are compared
     "model": "observer's model",

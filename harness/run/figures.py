@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.drawing import (
     BASELINE,
@@ -30,14 +28,11 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
+from bristle.common.signals import Array
 from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
 from bristle.harness.metrics.estimates import SETTLING_BAND, Course
-from bristle.harness.metrics.tracking import Tracking
-from bristle.harness.metrics.validation import Validation
 from bristle.harness.run.figure_text import MODEL_LABELS, seen
-from bristle.harness.scenario.rig import Rig
-
-Array = NDArray[np.float64]
+from bristle.harness.run.pictures import Pictures
 
 SCATTER_POINTS = 5000  # points of a scatter diagram
 # s at the end of the run, share of the rms speed: friction loops near rest that are shown
@@ -62,43 +57,7 @@ PLAIN_SYMBOLS = {
 }
 # by the unit of the input
 INPUT_LABELS = {"V": "voltage, V", "A": "current, A", "N.m": "torque, N·m", "N": "force, N"}
-# by the unit of the position: factor and unit on the axes
-SPEED_SCALES = {"rad": (DEGREES, "deg/s"), "m": (1.0, "m/s")}
 MODEL_COLOURS = {"model": ESTIMATE, "floor": LIMIT, "coulomb": OTHER, "linear": BASELINE}
-
-
-@dataclass
-class Pictures:
-    """The data of the figures, in SI units; `measured`: they are those of a record, which nobody
-    knows the truth of.
-    """
-
-    time: Array
-    estimates: Mapping[str, Mapping[str, Any]]
-    published: Mapping[str, Course]
-    true: Mapping[str, Array]
-    rig: Rig = field(default_factory=Rig)
-    measured: bool = False
-    signals: Mapping[str, Array] = field(default_factory=dict)
-    friction: tuple[Array, Array] | None = None  # v, F/J of the plant
-    friction_hat: tuple[Array, Array] | None = None
-    validation: Validation | None = None
-    tracking: Tracking | None = None
-
-    @property
-    def step(self) -> float:
-        """Time between two rows."""
-        return float(self.time[1] - self.time[0]) if len(self.time) > 1 else 1.0
-
-    @property
-    def speed_scale(self) -> float:
-        """Factor of a speed on the axes."""
-        return SPEED_SCALES[self.rig.position][0]
-
-    @property
-    def speed_label(self) -> str:
-        """Name and unit of a speed on the axes."""
-        return f"velocity, {SPEED_SCALES[self.rig.position][1]}"
 
 
 def draw(pictures: Pictures) -> dict[str, Drawing]:

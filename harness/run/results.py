@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.common.output import complain, replace_files
+from bristle.common.output import complain, plain, replace_files, to_json
 from bristle.common.signals import table_text
+from bristle.harness.run.checked import Clock
+from bristle.harness.run.outcome import Outcome
+from bristle.harness.run.pictures import pictures_of
+from bristle.harness.scenario.plan import Setup
 
 RESULT_SUFFIXES = {".json", ".csv", ".html", ".svg"}  # of the files in a result folder
 THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
@@ -94,3 +100,32 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     }
     replace_files(out, content, [name])
     return target
+
+
+def files_of(found: Outcome, setup: Setup, clock: Clock, full: bool) -> dict[str, str | bytes]:
+    from bristle.harness.run.figures import draw
+    from bristle.harness.run.run_page import render
+
+    begin = time.perf_counter()
+    result, view = found.result, found.view
+    figures = draw(pictures_of(found))
+    csv = to_csv({"time": view.time, **view.columns()}, full)
+    scenario = setup.scenario
+    about = {
+        "title": scenario.title,
+        "shows": scenario.shows,
+        "source": scenario.source,
+        "limits": scenario.limits,
+    }
+    clock.seconds["report"] = time.perf_counter() - begin
+    result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
+    result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)
+    files: dict[str, str | bytes] = {f"{name}.svg": svg for name, svg in figures.items()}
+    observer = setup.fmus["observer"]
+    meanings = {
+        name.removesuffix("_hat"): observer.meaning(name)
+        for name in observer.names("output")
+        if name.endswith("_hat")
+    }
+    page = render(plain(result), figures, about, meanings, setup.loaded.text)
+    return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bristle.common import pages
-from bristle.harness.metrics.estimates import SIGNS, check_unit
+from bristle.harness.metrics.checks import SIGNS, check_unit
 
 
 def render(

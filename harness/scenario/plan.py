@@ -3,47 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
 
-from bristle.common.errors import BristleError, suggest
-from bristle.common.packages import offered
-from bristle.fmus.alias import Mapped, alias
-from bristle.fmus.host import Alias, Fmu, Value
-from bristle.harness.cosim.loop import Bus, Instance, Port
+from bristle.common.errors import BristleError
+from bristle.common.units import quantity
+from bristle.fmus.host import Fmu, Value
+from bristle.harness.cosim.bus import Bus, Instance, Port
+from bristle.harness.cosim.ports import OBSERVER, PORTS, SENSOR_OUTPUTS
+from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig
 from bristle.harness.scenario.samples import Samples, read_samples
-from bristle.harness.scenario.scenario import Loaded, Part, Plant, Scenario
+from bristle.harness.scenario.scenario import Part, Scenario
 from bristle.harness.scenario.stimuli import Signal, check_range, events, read_stimuli, series
-
-Kind = Literal["native", "python"]
-
-# Variables of the bus and their SI units; an FMU must have the `NEEDED_PORTS`.
-BUS_PORTS = {
-    "plant": {
-        "inputs": {"u": "V", "tau_load": "N.m", "load_scale": "1"},
-        "outputs": {"theta": "rad", "v": "rad/s", "F": "N.m", "theta_enc": "rad", "v_enc": "rad/s"},
-    },
-    "controller": {
-        "inputs": {"y_v": "rad/s", "u_ff": "V", "reference_scale": "1"},
-        "outputs": {"u": "V", "reference": "rad/s", "u_compensation": "V"},
-    },
-    "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
-}
-# unit of a plant: others it may have
-UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m": ("N",)}
-NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
-# which a stimulus may drive
-FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}
-# plant outputs: position, velocity
-SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
-WHOLE_PARAMETERS = {  # Real parameters that only take whole values
-    "controller": ("seed", "order"),
-    "plant": ("input_noise.seed", "encoder.counts"),
-}
-SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
 
 
 @dataclass(frozen=True)
@@ -86,113 +58,12 @@ class Setup:
     def ports(self, unit: str) -> tuple[Port, ...]:
         """Return what is recorded of a unit at every step."""
         fmu = self.fmus[unit]
-        known = BUS_PORTS[unit]["outputs"]
+        known = PORTS[unit].outputs
         return tuple(
             (unit, name)
             for name in fmu.names("output")
             if fmu.is_real(name) and (unit == "observer" or name in known)
         )
-
-
-def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
-    """Return the FMUs a scenario needs, building those of bristle that are not in the cache."""
-    scenario = loaded.scenario
-    parts: dict[str, Part | None] = {"observer": scenario.observer}
-    if scenario.plant is not None:
-        parts = {
-            "controller": None if scenario.open_loop else scenario.controller,
-            "plant": scenario.plant,
-            **parts,
-        }
-    found = {}
-    for name, part in parts.items():
-        if part is None:
-            continue
-        if part.fmu is None and part.variables:
-            raise loaded.error(
-                f"{name}.variables",
-                None,
-                f"names those of an FMU of your own; give {name}.fmu, or remove it",
-            )
-        if part.fmu is not None:
-            found[name] = _foreign(loaded, name, part.fmu, part.variables)
-        else:
-            found[name] = _own(loaded, name, part, fmi, kind)
-    return found
-
-
-def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there
-    are some from outside.
-    """
-    from bristle.fmus.build import is_packaged, obtain, plugins_of
-
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    choice: str | None = getattr(part, selector, None)
-    effects = part.effects if isinstance(part, Plant) else []
-    packaged = choice is not None and is_packaged(name, choice)
-    alone = packaged or (choice is not None and plugins_of(name))
-    if not alone and not effects:
-        return Fmu(obtain(name, fmi=fmi, kind=kind))
-    try:
-        law, method = (choice if selector == option else None for option in ("law", "method"))
-        return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
-    except BristleError as error:
-        raise loaded.error(
-            f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)
-        ) from None
-
-
-def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
-    aliases = {key: _alias(loaded, name, key, given) for key, given in variables.items()}
-    try:
-        fmu = Fmu(loaded.beside(file), True, aliases)
-    except BristleError as error:
-        raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    sides = BUS_PORTS[name]
-    for needed in NEEDED_PORTS[name]:
-        side = "input" if needed in sides["inputs"] else "output"
-        if not fmu.has(needed, side) or not fmu.is_real(needed):
-            have = ", ".join(fmu.names(side)) or "none"
-            advice = f'name the one that is meant: [{name}.variables] {needed} = "..."'
-            raise loaded.error(
-                f"{name}.fmu",
-                file,
-                f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}",
-            )
-    try:
-        for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
-            if variable in fmu.variables:
-                fmu.check_si(
-                    variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())
-                )
-    except BristleError as error:
-        raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    return fmu
-
-
-def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
-    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to
-    be.
-    """
-    where, sides = f"{name}.variables.{key}", BUS_PORTS[name]
-    wanted = {**sides["inputs"], **sides["outputs"]}
-    if key not in wanted and not (
-        name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
-    ):
-        raise loaded.error(
-            where,
-            given,
-            f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}",
-        )
-    unit = wanted.get(key)
-    units = (
-        [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
-    )
-    try:
-        return alias(given, units)
-    except BristleError as error:
-        raise loaded.error(where, given, str(error)) from None
 
 
 def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
@@ -226,9 +97,9 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         return setup
     free = {
         name: (unit, fmus[unit])
-        for unit, names in FREE_INPUTS.items()
+        for unit, ports in PORTS.items()
         if unit in fmus
-        for name in names
+        for name in ports.free
         if fmus[unit].has(name, "input")
     }
     stimuli = read_stimuli(loaded, free, h)
@@ -245,65 +116,53 @@ def _period(fmu: Fmu, h: float) -> dict[str, Value]:
     return {"sample_time": h} if fmu.has("sample_time", "parameter") else {}
 
 
-def _others(fmu: Fmu, selector: str, choice: str | None) -> set[str]:
-    """Return the laws or methods of an FMU that are not chosen; nothing of one without a choice."""
-    return set(fmu.choices(selector)) - {choice} if choice is not None else set()
-
-
 @lru_cache(maxsize=64)
-def _own_parameters(fmu: Fmu, selector: str, choice: str | None) -> list[str]:
-    """Return the parameters of an FMU without those of other laws or methods than the one
-    chosen.
-    """
-    others = _others(fmu, selector, choice)
-    return [
-        parameter
-        for parameter in fmu.names("parameter")
-        if parameter not in (selector, f"{selector}_index")
-        and parameter.partition(".")[0] not in others
-    ]
+def _own_parameters(fmu: Fmu, selector: str) -> list[str]:
+    """Return the parameters of an FMU without those that choose a law or method."""
+    return [name for name in fmu.names("parameter") if name not in (selector, f"{selector}_index")]
 
 
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
-    """Return the start values of a part: its choice of law or method, and the user's parameters,
-    which are in units of the rig.
-    """
+    """Return the start values of a part: the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
-    selector = SELECTOR_PARAMETERS.get(name, "")
+    selector = PORTS[name].selector
     choice = getattr(part, selector, None)
-    if choice is not None and fmu.has(selector, "parameter"):
-        choices = fmu.choices(selector)
-        if choice not in choices:
-            from bristle.fmus.build import VARIANT_KIND
-
-            known = list(dict.fromkeys([*choices, *offered(VARIANT_KIND[name])]))
-            message = (
-                f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
-            )
-            raise loaded.error(f"{name}.{selector}", choice, message)
-        values[selector] = choices[choice]
-    own = _own_parameters(fmu, selector, choice)
+    own = _own_parameters(fmu, selector)
     for key, given in part.parameters.items():
+        where = f"{name}.parameters.{key}"
         if choice is not None and key == f"{selector}_index":
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"the scenario chooses by {name}.{selector}; remove it",
-            )
+            message = f"the scenario chooses by {name}.{selector}; remove it"
+            raise loaded.error(where, given, message)
+        # what another law or method alone reads is refused, what several share is not read here
+        if choice is not None and key not in own and _is_shared(loaded, name, choice, key):
+            continue
         try:
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
-            raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
-        if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
-            raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
-        owner = key.partition(".")[0]
-        if owner != key and owner in _others(fmu, selector, choice):
-            raise loaded.error(
-                f"{name}.parameters.{key}",
-                given,
-                f"belongs to {selector} '{owner}', this is '{choice}'; remove it",
-            )
+            raise loaded.error(where, given, str(error)) from None
+        if key in PORTS[name].whole and values[key] != int(values[key]):
+            raise loaded.error(where, given, "must be a whole number")
     return values
+
+
+def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
+    """Say whether other laws or methods share a parameter that the chosen one does not read.
+
+    A scenario may give it: it is run with several laws then. Its value is checked.
+    """
+    from bristle.fmus.build import readers
+
+    where, given = f"{name}.parameters.{key}", getattr(loaded.scenario, name).parameters[key]
+    found, owner = readers(name, key), key.partition(".")[0]
+    if owner in found:
+        message = f"belongs to {PORTS[name].selector} '{owner}', this is '{choice}'; remove it"
+        raise loaded.error(where, given, message)
+    try:
+        for declared in found.values():
+            declared.check(quantity(given, declared.unit))
+    except BristleError as error:
+        raise loaded.error(where, given, str(error)) from None
+    return bool(found)
 
 
 def _check_sensors(setup: Setup) -> None:
@@ -417,38 +276,51 @@ def identification(setup: Setup) -> Bus:
         name for name in observer.names("output") if name.endswith("_valid") or name == "adapted"
     ]
     flags = tuple(("observer", name) for name in said if not observer.is_real(name))
-    if setup.samples is not None:
-        samples, units = setup.samples, BUS_PORTS["observer"]["inputs"]
-        columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
-        read = {
-            name: values * setup.rig.worth(units[name])
-            for name, values in columns.items()
-            if observer.has(name, "input")
-        }
-        return Bus(
-            _instances(setup, ("observer",)),
-            setup.steps,
-            setup.h,
-            series={("observer", name): values for name, values in read.items()},
-            record=setup.ports("observer"),
-            flags=flags,
-            watch=("observer",),
-        )
+    return _on_record(setup, flags) if setup.samples is not None else _on_plant(setup, flags)
+
+
+def _on_record(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+    """Return the bus of an observer that reads a record, in the units in which it does."""
+    samples, observer = setup.samples, setup.fmus["observer"]
+    assert samples is not None
+    columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
+    read = {
+        ("observer", name): values * setup.rig.worth(OBSERVER.inputs[name])
+        for name, values in columns.items()
+        if observer.has(name, "input")
+    }
+    return Bus(
+        _instances(setup, ("observer",)),
+        setup.steps,
+        setup.h,
+        series=read,
+        record=setup.ports("observer"),
+        flags=flags,
+        watch=("observer",),
+    )
+
+
+def _on_plant(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+    """Return the bus of an observer that runs beside a plant, which a controller or a stimulus
+    drives.
+    """
     driven = [] if setup.scenario.open_loop else ["controller"]
+    units = (*driven, "plant", "observer")
+    # the loop, what the observer measures of it, and what the controller takes from the observer
     links = [*_loop_links(setup), (("controller", "u"), ("observer", "u"))] if driven else []
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
-        if observer.has(to, "input"):
+        if setup.fmus["observer"].has(to, "input"):
             links.append((("plant", source), ("observer", to)))
     if setup.scenario.controller.compensation != "none":
         links += _compensation_links(setup)
     return Bus(
-        _instances(setup, (*driven, "plant", "observer")),
+        _instances(setup, units),
         setup.steps,
         setup.h,
         links=tuple(links),
         events=events(setup.stimuli),
         series=series(setup.stimuli, setup.steps, setup.h),
-        record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
+        record=tuple(port for unit in units for port in setup.ports(unit)),
         flags=_plant_flags(setup.fmus["plant"]) + flags,
         watch=("observer",),
     )

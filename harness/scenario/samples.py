@@ -10,8 +10,8 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig, normalising
-from bristle.harness.scenario.scenario import Loaded
 from bristle.records import Layout, Record, read_record
 from bristle.records.layout import layout_of
 from bristle.records.resolution import noise_step

@@ -9,15 +9,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.signals import Array
 from bristle.common.units import interval, quantity
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Port
-from bristle.harness.scenario.scenario import Loaded, Noise, Sine, Stimulus
+from bristle.harness.cosim.bus import Port
+from bristle.harness.scenario.reading import Loaded
+from bristle.harness.scenario.scenario import Noise, Sine, Stimulus
 
-Array = NDArray[np.float64]
 Event = tuple[int, Port, float]
 Free = Mapping[str, tuple[str, Fmu]]  # input -> the unit that has it, and its FMU
 

@@ -118,7 +118,7 @@ class ScenarioItem(pytest.Item):
 
 def verdict_table(tested: CaseResult) -> str:
     """Return the checks of a run as text, one line each."""
-    from bristle.harness.metrics.estimates import SIGNS
+    from bristle.harness.metrics.checks import SIGNS
     from bristle.harness.suite.suite_page import shown
 
     lines = [tested.message] if tested.message else []

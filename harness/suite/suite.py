@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.errors import BristleError
-from bristle.harness.run.run import Options, check, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import build_and_check, run
 from bristle.harness.scenario.catalogue import find_scenario, is_scenario
 from bristle.harness.scenario.vary import refuse_conflicts
 
@@ -277,7 +278,7 @@ def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
     mistakes = []
     for case in {replace(case, seed=case.seed and 1): case for case in cases}.values():
         try:
-            check(case.path, out / case.folder, _options(case, options))
+            build_and_check(case.path, out / case.folder, _options(case, options))
         except BristleError as error:
             mistakes.append(str(error))
     if mistakes:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from bristle.common import pages
 from bristle.common.xml import printable
-from bristle.harness.metrics.estimates import SIGNS, check_unit
+from bristle.harness.metrics.checks import SIGNS, check_unit
 from bristle.harness.suite.suite import CaseResult, by_scenario, summaries
 
 

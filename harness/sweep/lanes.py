@@ -16,9 +16,10 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
+from bristle.harness.cosim.bus import Array, Bus, Port, Readings, Trace
 from bristle.harness.cosim.compiled import Compiled, Memory, Unit, library
-from bristle.harness.cosim.loop import Array, Bus, Port, Readings, Trace
-from bristle.harness.scenario.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.cosim.ports import PORTS
+from bristle.harness.scenario.plan import Setup
 
 MOST_LANES = 8  # of the processors that are known
 RUNS_WORTH_IT = 100  # fewer runs take less time than the programs, which are made once a process
@@ -119,12 +120,8 @@ class Together:
 
 def _lanes(setup: Setup, name: str) -> Lanes:
     """Return lanes of the program of one FMU, of the chosen law or method alone."""
-    fmu, part = setup.fmus[name], getattr(setup.scenario, name)
-    selector = SELECTOR_PARAMETERS.get(name, "")
-    variant = getattr(part, selector, None)
-    if fmu.has(selector, "parameter"):
-        number = setup.values[name].get(selector, fmu.start(selector))
-        variant = next(choice for choice, value in fmu.choices(selector).items() if value == number)
+    part = getattr(setup.scenario, name)
+    variant = getattr(part, PORTS[name].selector, None)
     return lanes_of(name, variant, getattr(part, "effects", ()))
 
 

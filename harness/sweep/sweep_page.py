@@ -28,9 +28,8 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
+from bristle.common.signals import Array
 from bristle.harness.sweep.store import ERROR_VERDICT, Store
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95  # of the intervals of shares
 NORMAL_QUANTILE = 1.96  # standard deviations to either side that a 95 % interval of an estimate has

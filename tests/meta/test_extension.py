@@ -17,8 +17,8 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.common.plugins import PLUGINS_VARIABLE, plugin_folders
 from bristle.harness.scenario.catalogue import scenarios
-from bristle.harness.scenario.plan import find_fmus
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.reading import load
 from bristle.observer import methods, observer_program
 from bristle.plant import effects as effect_package
 from bristle.plant.effects import effects
@@ -180,7 +180,7 @@ def test_a_scenario_takes_the_fmu_of_a_plugin_alone(written, monkeypatch):
     the file.
     """
     monkeypatch.setenv(PLUGINS_VARIABLE, str(written / "my_models"))
-    fmus = find_fmus(load(written / "my_models" / "scenarios" / "lorentzian.toml"))
+    fmus = build_fmus(load(written / "my_models" / "scenarios" / "lorentzian.toml"))
     assert "projection" in fmus["observer"].path.name
     assert "lorentzian" in fmus["plant"].path.name
     assert fmus["observer"].choices("method") == fmus["plant"].choices("law") == {}

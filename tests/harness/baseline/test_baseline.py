@@ -27,12 +27,8 @@ from bristle.harness.baseline.baseline import (
     write_baseline,
 )
 from bristle.harness.baseline.comparison import (
-    Comparison,
-    SignalCourse,
     compare_folders,
     compare_sides,
-    comparison_json,
-    differences,
     judge_quantity,
     judge_signal,
     write_comparison,
@@ -47,8 +43,10 @@ from bristle.harness.baseline.repeats import (
     toolchains,
 )
 from bristle.harness.baseline.tube import SAFETY
+from bristle.harness.baseline.verdicts import Comparison, SignalCourse, comparison_json, differences
+from bristle.harness.run.checked import Checked, Options
 from bristle.harness.run.results import thinned
-from bristle.harness.run.run import Checked, Options, check, run
+from bristle.harness.run.run import build_and_check, run
 
 Message = Callable[[Callable[[], Any]], str]
 Maker = Callable[..., Path]
@@ -90,7 +88,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def accepted(place: Path) -> tuple[Path, Baseline]:
     """The baseline of the stick-slip scenario, as a folder and as it was made."""
-    checked = check(place / "stick.toml", place, Options(full=True))
+    checked = build_and_check(place / "stick.toml", place, Options(full=True))
     found = make_baseline(checked, ways=uncompiled(checked))
     return write_baseline(place / "kept", "stick", found, checked.setup.loaded.text), found
 
@@ -162,7 +160,7 @@ def test_rounding_that_the_baseline_has_not_seen_stays_inside(
     """The tube holds events that sticking moves: the run is not the same to the last digit, and not
     wider than allowed.
     """
-    checked = check(place / "stick.toml", place)
+    checked = build_and_check(place / "stick.toml", place)
     again = run_rounded(checked.setup, 77)
     signals = accepted[1].signals
     differing = 0
@@ -517,7 +515,7 @@ def test_a_number_that_does_not_exist_has_its_own_reason() -> None:
 def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(
     place: Path,
 ) -> None:
-    checked = check(place / "stick.toml", place)
+    checked = build_and_check(place / "stick.toml", place)
     reference = run_again(checked.setup)
     plain, *fused = [each for each in toolchains() if "," not in each.name]
     assert plain.name == "without optimisation"
@@ -560,7 +558,7 @@ unit = "rad"
 [observer]
 method = "rls"
 """
-    checked = check(scenario_file(text), tmp_path)
+    checked = build_and_check(scenario_file(text), tmp_path)
     found = make_baseline(checked, ways=uncompiled(checked))
     assert len(found.runs) == 8
     assert all(each["differs"] for each in found.runs)
@@ -575,7 +573,7 @@ def test_an_fmu_from_elsewhere_is_run_as_it_is(
 ) -> None:
     parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
     text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu()}"')
-    checked = check(scenario_file(text), tmp_path)
+    checked = build_and_check(scenario_file(text), tmp_path)
     plain = next(each for each in toolchains() if each.name == "without optimisation")
     assert built(checked.setup, plain).fmus["plant"] == checked.setup.fmus["plant"]
     found = make_baseline(checked, ways=uncompiled(checked))
@@ -592,7 +590,7 @@ def test_a_run_that_ends_early_is_no_reference(
 ) -> None:
     parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
     text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu("error")}"')
-    checked = check(scenario_file(text), tmp_path)
+    checked = build_and_check(scenario_file(text), tmp_path)
     assert "a reference needs a run that reaches its end" in message(
         lambda: make_baseline(checked, ways=[])
     )

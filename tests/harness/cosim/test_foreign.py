@@ -20,8 +20,9 @@ from bristle.fmus import isolate
 from bristle.fmus.answer import read_answer, write_answer
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import Replay, ReplaySegment, replay_records
+from bristle.harness.cosim.bus import Bus, Instance
 from bristle.harness.cosim.isolate import simulate_isolated
-from bristle.harness.cosim.loop import Bus, Instance, simulate
+from bristle.harness.cosim.loop import simulate
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], Any]], str]

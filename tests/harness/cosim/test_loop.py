@@ -14,11 +14,14 @@ import pytest
 from bristle.fmus.calls import CONTROL_SIZE
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim import compiled as compiled_loop
+from bristle.harness.cosim.bus import Bus, Instance
 from bristle.harness.cosim.compiled import HUGE
+from bristle.harness.cosim.drive import Drive
 from bristle.harness.cosim.isolate import simulate_isolated
-from bristle.harness.cosim.loop import Bus, Drive, Instance, simulate
-from bristle.harness.scenario.plan import Kind, find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.cosim.loop import simulate
+from bristle.harness.scenario.parts import Kind, build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -77,7 +80,7 @@ def test_the_structures_are_those_of_the_c_code(twin: type[ctypes.Structure]) ->
 
 def bus_of(path: Path, fmi: int = 2, kind: Kind = "native", *overrides: str) -> Bus:
     loaded = load(path, overrides)
-    return identification(prepare(loaded, find_fmus(loaded, fmi, kind)))
+    return identification(prepare(loaded, build_fmus(loaded, fmi, kind)))
 
 
 @pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
@@ -273,7 +276,7 @@ def test_units_and_names_of_a_foreign_plant_are_checked(
             'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', f'fmu = "{path}"'
         )
         case = scenario_file(text)
-        line = message(lambda case=case: find_fmus(load(case)))
+        line = message(lambda case=case: build_fmus(load(case)))
         for word in words:
             assert word in line
 
@@ -285,7 +288,7 @@ def test_a_foreign_plant_may_be_in_the_units_of_a_rig(
     they are.
     """
     path = tiny_fmu(unit='unit="m"')
-    found = find_fmus(
+    found = build_fmus(
         load(
             scenario_file(
                 base.replace(

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.harness.cosim.loop import Failure, simulate
+from bristle.harness.cosim.bus import Failure
+from bristle.harness.cosim.loop import simulate
 from bristle.harness.coupling.coupling import APPLIED, ORDERS, coupled, coupling, delay
-from bristle.harness.run.run import Options, check
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import build_and_check
 
 MONOLITHIC = ORDERS[0]
 SCENARIO = """
@@ -49,7 +51,7 @@ def test_one_after_the_other_takes_away_the_step_by_which_the_voltage_is_late(sc
     """What acts on the plant from t_k is of the velocity at t_k, and of that at t_k-1 with all at
     once.
     """
-    bus = check(scenario, tmp_path / "out").bus
+    bus = build_and_check(scenario, tmp_path / "out").bus
     bus = replace(bus, record=(*bus.record, APPLIED, ("controller", "y_v")))
     jacobi, seidel = coupled(bus), coupled(bus, 1, MONOLITHIC)
     v, u = seidel["plant", "v"], seidel[APPLIED]
@@ -61,7 +63,7 @@ def test_one_after_the_other_takes_away_the_step_by_which_the_voltage_is_late(sc
 
 @pytest.mark.parametrize("order", [(), MONOLITHIC])
 def test_both_loops_give_the_same_digits(scenario, tmp_path, order):
-    bus = check(scenario, tmp_path / "out").bus
+    bus = build_and_check(scenario, tmp_path / "out").bus
     bus = replace(bus, steps=40, record=(*bus.record, APPLIED), split=4, sequential=bool(order))
     compiled, plain = (simulate(bus, engine=engine) for engine in ("native", "fmpy"))
     np.testing.assert_allclose(plain.values, compiled.values, rtol=1e-14, atol=1e-300)

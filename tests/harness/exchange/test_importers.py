@@ -11,8 +11,9 @@ import pytest
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.scenario.plan import find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 SCENARIO = """
 duration = "1 s"
@@ -34,10 +35,11 @@ for name, file in FILES.items():
     structure.add_model(name, file)
 for a, b in LINKS:
     structure.make_real_connection(a.replace(".", "::", 1), b.replace(".", "::", 1))
-structure.add_parameter_set("start",
-{name.replace(".", "::", 1): value for name, value in VALUES.items()}) sim =
-EcosSimulation(structure=structure, step_size=1e-3) sim.init(parameter_set="start") for _ in
-range(STEPS // STRIDE):
+values = {name.replace(".", "::", 1): value for name, value in VALUES.items()}
+structure.add_parameter_set("start", values)
+sim = EcosSimulation(structure=structure, step_size=1e-3)
+sim.init(parameter_set="start")
+for _ in range(STEPS // STRIDE):
     sim.step(STRIDE)
     rows.append([sim.get_real(name.replace(".", "::", 1)) for name in SEEN])
 """
@@ -51,8 +53,8 @@ slaves = {name: CosimLocalSlave(file, name) for name, file in FILES.items()}
 unit = {name: run.add_local_slave(slave) for name, slave in slaves.items()}
 place = {f"{name}.{text(v.name)}": (i, v.reference) for name, i in unit.items() for v in run.slave_variables(i)}
 for name, value in VALUES.items():
-    (run.integer_initial_value if isinstance(value, int) else run.real_initial_value)(*place[name],
-    value)
+    give = run.integer_initial_value if isinstance(value, int) else run.real_initial_value
+    give(*place[name], value)
 for a, b in LINKS:
     run.connect_real_variables(*place[a], *place[b])
 seen = CosimObserver.create_last_value()
@@ -69,7 +71,7 @@ def closed_loop(path, fmi, lean):
     """Return bus and files: FMUs of all laws and methods, or of the one that the scenario has."""
     path.write_text(SCENARIO, encoding="utf-8")
     loaded = load(path)
-    setup = prepare(loaded, find_fmus(loaded, fmi))
+    setup = prepare(loaded, build_fmus(loaded, fmi))
     files = {name: fmu.path for name, fmu in setup.fmus.items()}
     if lean:
         files |= {

@@ -22,7 +22,8 @@ from bristle.harness.exchange.ssp import (
     SystemStructure,
     package_files,
 )
-from bristle.harness.run.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 
 SCENARIO = """
 duration = "2 s"

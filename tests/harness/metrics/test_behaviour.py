@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bristle.harness.metrics.behaviour import Motion, behaviour
-from bristle.harness.metrics.estimates import CHECK_QUANTITIES
+from bristle.harness.metrics.checks import CHECK_QUANTITIES
 
 H = 1e-3
 TIME = np.arange(0, 20, H)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from bristle.common.output import plain
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Port, Readings, Trace
+from bristle.harness.cosim.bus import Port, Readings, Trace
+from bristle.harness.metrics import checks
 from bristle.harness.metrics import estimates as metrics
 from bristle.harness.metrics.estimates import Course
 from bristle.harness.scenario.scenario import Check
@@ -96,13 +97,13 @@ RESULT = {
 )
 def test_nothing_but_a_finite_number_passes(path: str) -> None:
     for limits in ({"min": -1e300}, {"max": 1e300}, {"max_abs": 1e300}):
-        [line] = metrics.judge(RESULT, [Check(quantity=path, **limits)])
+        [line] = checks.judge(RESULT, [Check(quantity=path, **limits)])
         assert line["pass"] is False
 
 
 def test_true_and_false_are_checked_as_1_and_0() -> None:
     found = {"good": True, "bad": False}
-    lines = metrics.judge(
+    lines = checks.judge(
         found,
         [Check(quantity="good", min=1), Check(quantity="bad", min=1), Check(quantity="bad", max=0)],
     )
@@ -194,17 +195,17 @@ def test_without_checks_a_record_is_judged_by_what_the_observer_says(
     changed: dict[str, object], failed: list[str]
 ) -> None:
     result = {**RESULT_OF_RECORD, **changed}
-    lines = metrics.judge(result, metrics.validity_checks(result, 4.0))
+    lines = checks.judge(result, checks.validity_checks(result, 4.0))
     assert [line["name"] for line in lines if not line["pass"]] == failed
     # a method without a limit, whose deviations grow
-    without = metrics.judge(result, metrics.validity_checks(result, None))
+    without = checks.judge(result, checks.validity_checks(result, None))
     assert [line["name"] for line in without if not line["pass"]] == [
         name for name in failed if name != "innovation"
     ]
 
 
 def test_every_limit_is_a_line_of_its_own() -> None:
-    lines = metrics.judge(RESULT, [Check(quantity="a.b", min=0.5, max=0.9, max_abs=2.0)])
+    lines = checks.judge(RESULT, [Check(quantity="a.b", min=0.5, max=0.9, max_abs=2.0)])
     assert [(line["kind"], line["pass"]) for line in lines] == [
         ("min", True),
         ("max", False),
@@ -215,8 +216,8 @@ def test_every_limit_is_a_line_of_its_own() -> None:
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
 def test_limits_mean_what_they_say(value: float, limit: float) -> None:
     size = abs(limit)
-    checks = [Check(quantity="x", min=limit, max=limit), Check(quantity="x", max_abs=size)]
-    judged = {line["kind"]: line["pass"] for line in metrics.judge({"x": value}, checks)}
+    demands = [Check(quantity="x", min=limit, max=limit), Check(quantity="x", max_abs=size)]
+    judged = {line["kind"]: line["pass"] for line in checks.judge({"x": value}, demands)}
     assert judged == {"min": value >= limit, "max": value <= limit, "max_abs": abs(value) <= size}
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.loop import Bus, Instance, simulate
+from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.loop import simulate
 from bristle.harness.metrics.fit import Data, LeanModel, fit, regression, starts
 from bristle.harness.metrics.validation import (
     MODEL_PARAMETERS,

@@ -13,11 +13,13 @@ import pytest
 
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.metrics.estimates import CHECK_QUANTITIES
+from bristle.harness.metrics.checks import CHECK_QUANTITIES
 from bristle.harness.metrics.tracking import TRACKING_SHARE, tracking
-from bristle.harness.run.run import Options, run
-from bristle.harness.scenario.plan import find_fmus, identification, prepare, uncompensated
-from bristle.harness.scenario.scenario import load
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare, uncompensated
+from bristle.harness.scenario.reading import load
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -64,7 +66,7 @@ def test_a_scenario_is_compared_with_the_controller_alone(
 
 def test_estimates_and_their_validity_are_linked(base: str, scenario_file: Maker) -> None:
     loaded = load(scenario_file(base), COMPENSATED)
-    setup = prepare(loaded, find_fmus(loaded))
+    setup = prepare(loaded, build_fmus(loaded))
     links = identification(setup).links
     for name in ("b_hat", "b_valid", "Fc_hat", "load_valid"):
         assert (("observer", name), ("controller", name)) in links
@@ -77,7 +79,7 @@ def test_estimates_on_trial_count_from_their_first_adaptation(
     base: str, scenario_file: Maker
 ) -> None:
     loaded = load(scenario_file(base), [*COMPENSATED, "controller.compensation=adapted"])
-    links = identification(prepare(loaded, find_fmus(loaded))).links
+    links = identification(prepare(loaded, build_fmus(loaded))).links
     assert (("observer", "adapted"), ("controller", "b_valid")) in links
     assert (("observer", "b_valid"), ("controller", "b_valid")) not in links
 
@@ -87,7 +89,7 @@ def test_without_valid_estimates_nothing_changes(base: str, scenario_file: Maker
     loaded = load(
         scenario_file(base), [*COMPENSATED, "observer.method=self_starting_ekf", "duration=0.5 s"]
     )
-    setup = prepare(loaded, find_fmus(loaded))
+    setup = prepare(loaded, build_fmus(loaded))
     found = tracking(simulate(identification(setup)), simulate(uncompensated(setup)))
     assert np.array_equal(found.compensated, found.alone)
     assert found.as_dict()["ratio"] == 1.0
@@ -106,7 +108,7 @@ def test_a_controller_without_inputs_for_estimates_is_refused(
     base: str, scenario_file: Maker, message: Message
 ) -> None:
     loaded = load(scenario_file(base), COMPENSATED)
-    fmus = find_fmus(loaded)
+    fmus = build_fmus(loaded)
     poor = Fmu(fmus["controller"].path)
     poor.variables = {name: v for name, v in poor.variables.items() if not name.endswith("_hat")}
     line = message(lambda: prepare(loaded, fmus | {"controller": poor}))

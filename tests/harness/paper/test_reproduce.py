@@ -16,18 +16,12 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
+from bristle.harness.paper.cases import friction_curve, scenario_path, stiffer
 from bristle.harness.paper.printed_numbers import FIGURES, PRINTED
-from bristle.harness.paper.reproduce import (
-    GAINS,
-    REPRODUCE_FILES,
-    SCHEMES,
-    TEST_PLANTS,
-    friction_curve,
-    reproduce,
-    scenario_path,
-    stiffer,
-)
-from bristle.harness.run.run import Options, run
+from bristle.harness.paper.reproduce import REPRODUCE_FILES, reproduce
+from bristle.harness.paper.schemes import GAINS, SCHEMES, TEST_PLANTS
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 
 SHORT = 0.01  # share of the paper's durations in the quick tests
 

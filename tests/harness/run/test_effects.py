@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.run.run import Options, run
-from bristle.harness.scenario.plan import Kind, find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
+from bristle.harness.scenario.parts import Kind, build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 from bristle.observer import methods
 
 Maker = Callable[..., Path]
@@ -34,7 +36,7 @@ def signals(
     path: Path, fmi: int = 2, kind: Kind = "native", overrides: tuple[str, ...] = ()
 ) -> np.ndarray:
     loaded = load(path, overrides)
-    return simulate(identification(prepare(loaded, find_fmus(loaded, fmi, kind)))).values
+    return simulate(identification(prepare(loaded, build_fmus(loaded, fmi, kind)))).values
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -86,7 +88,7 @@ def test_a_bias_is_the_load_that_an_observer_should_find(
 def test_the_observer_gets_the_input_without_the_noise(base: str, scenario_file: Maker) -> None:
     path = scenario_file(with_effects(base, "input_noise"))
     loaded = load(path)
-    links = identification(prepare(loaded, find_fmus(loaded))).links
+    links = identification(prepare(loaded, build_fmus(loaded))).links
     assert (("controller", "u"), ("observer", "u")) in links
     assert (("controller", "u"), ("plant", "u")) in links
 
@@ -105,7 +107,7 @@ def test_a_delay_reaches_whatever_the_observer_reads(
     found = []
     for samples in (0, 5):
         loaded = load(path, (f"plant.parameters.measurement_delay.samples={samples}",))
-        setup = prepare(loaded, find_fmus(loaded))
+        setup = prepare(loaded, build_fmus(loaded))
         trace = simulate(identification(setup))
         found.append(np.column_stack([trace["plant", name] for name in setup.sensor]))
     np.testing.assert_allclose(found[1][6:], found[0][1:-5], rtol=1e-9, atol=1e-9)
@@ -114,7 +116,7 @@ def test_a_delay_reaches_whatever_the_observer_reads(
 
 def test_a_smooth_law_with_effects_has_an_encoder(base: str, scenario_file: Maker) -> None:
     loaded = load(scenario_file('sensor = "encoder"\n' + with_effects(base, "bias")))
-    setup = prepare(loaded, find_fmus(loaded))
+    setup = prepare(loaded, build_fmus(loaded))
     assert np.ptp(simulate(identification(setup))["plant", "theta_enc"]) > 0.1
 
 
@@ -173,7 +175,7 @@ def test_what_cannot_be_is_one_line(
 
     def read() -> None:
         loaded = load(path)
-        prepare(loaded, find_fmus(loaded))
+        prepare(loaded, build_fmus(loaded))
 
     line = message(read)
     assert line.startswith(f"{path}: ")
@@ -198,7 +200,7 @@ def test_no_method_is_taken_for_diverged(base: str, scenario_file: Maker) -> Non
     for method in methods():
         loaded = load(path, (f"observer.method={method}",))
         ended[method] = simulate(
-            identification(prepare(loaded, find_fmus(loaded, 2, "native")))
+            identification(prepare(loaded, build_fmus(loaded, 2, "native")))
         ).failure
     assert {method: failure for method, failure in ended.items() if failure} == {}
 

@@ -7,7 +7,7 @@ import pytest
 
 from bristle.harness.metrics.estimates import Course
 from bristle.harness.run.figure_text import seen
-from bristle.harness.run.figures import Pictures
+from bristle.harness.run.pictures import Pictures
 
 FACTS = {
     "unit": "1/s",

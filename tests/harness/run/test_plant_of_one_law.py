@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from bristle.fmus import obtain
-from bristle.harness.run.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.plant.friction import laws
 

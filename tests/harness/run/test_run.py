@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bristle.harness.metrics import estimates as metrics
-from bristle.harness.run.run import Options, Run, run
+from bristle.harness.metrics import checks
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import Run, run
 
 Maker = Callable[..., Path]
 pytestmark = pytest.mark.usefixtures("no_leftovers")
@@ -96,13 +97,13 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
     found = {path for path in found if not path.startswith(other)}
     given_by_some = {"record.samples", "innovation", "estimates.PARAMETER.sd"}
     # test_tracking.py
-    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("tracking.")}
+    given_by_some |= {path for path in checks.CHECK_QUANTITIES if path.startswith("tracking.")}
     # test_behaviour.py
-    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("behaviour.")}
-    assert found | given_by_some == set(metrics.CHECK_QUANTITIES)
+    given_by_some |= {path for path in checks.CHECK_QUANTITIES if path.startswith("behaviour.")}
+    assert found | given_by_some == set(checks.CHECK_QUANTITIES)
     demanded = {path for path in paths(result, "") if not path.startswith(other)}
     assert demanded <= set(
-        metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"])
+        checks.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"])
     )
 
 
@@ -120,7 +121,7 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
     ],
 )
 def test_the_unit_of_a_check_is_known(finished: Run, path: str, unit: str) -> None:
-    assert metrics.check_unit(finished.result, path) == unit
+    assert checks.check_unit(finished.result, path) == unit
 
 
 def test_result_json_keeps_the_contract(finished: Run) -> None:

@@ -13,8 +13,9 @@ import pytest
 
 from bristle.harness.cosim.isolate import simulate_isolated
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.scenario.plan import find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], Any]], str]
@@ -56,7 +57,7 @@ def test_names_and_units_of_its_own_give_the_same_run(
         (scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, gain, MAP))
     ):
         loaded = load(scenario_file(text, f"case{k}"))
-        bus = identification(prepare(loaded, find_fmus(loaded)))
+        bus = identification(prepare(loaded, build_fmus(loaded)))
         native = simulate(bus)
         assert native.failure is None
         np.testing.assert_allclose(
@@ -79,7 +80,7 @@ def test_a_name_alone_is_enough(
         (scenario(base, tiny_fmu(), 6.0), scenario(base, own_names, 6.0, names))
     ):
         loaded = load(scenario_file(text, f"case{k}"))
-        values.append(simulate(identification(prepare(loaded, find_fmus(loaded)))).values)
+        values.append(simulate(identification(prepare(loaded, build_fmus(loaded)))).values)
     np.testing.assert_array_equal(*values)
 
 
@@ -110,7 +111,7 @@ def test_a_wrong_map_is_one_line(
 ) -> None:
     assert change[0] in MAP
     path = scenario_file(scenario(base, own_names, 6.0, MAP.replace(*change)))
-    line = message(lambda: find_fmus(load(path)))
+    line = message(lambda: build_fmus(load(path)))
     for word in words:
         assert word in line
 
@@ -121,4 +122,4 @@ def test_a_built_plant_has_no_names_of_its_own(
     path = scenario_file(
         base.replace('law = "modified"\n', 'law = "modified"\nvariables = { u = "voltage" }\n')
     )
-    assert "give plant.fmu" in message(lambda: find_fmus(load(path)))
+    assert "give plant.fmu" in message(lambda: build_fmus(load(path)))

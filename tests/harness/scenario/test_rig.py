@@ -14,10 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from bristle.common.units import parse_unit
-from bristle.harness.run.run import Options, Run, run
-from bristle.harness.scenario.plan import Setup, find_fmus, identification, prepare
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import Run, run
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.rig import NORMAL_INPUT, NORMAL_SPEED, Rig, normalising
-from bristle.harness.scenario.scenario import load
 from bristle.model.normalised import OBSERVED
 from bristle.records import Column, Layout
 from bristle.records.resolution import noise_step
@@ -81,7 +83,7 @@ def tables(
 
 def prepared(path: Path) -> Setup:
     loaded = load(path)
-    return prepare(loaded, find_fmus(loaded))
+    return prepare(loaded, build_fmus(loaded))
 
 
 # -- units -----------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.samples import Samples, read_samples
-from bristle.harness.scenario.scenario import load
 
 Message = Callable[[Callable[[], object]], str]
 Maker = Callable[..., Path]

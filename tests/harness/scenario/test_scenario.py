@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bristle.harness.run.run import check
-from bristle.harness.scenario.plan import find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.run.run import build_and_check
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -19,7 +20,7 @@ Message = Callable[[Callable[[], object]], str]
 
 def read(path: Path, *overrides: str, seed: int | None = None) -> object:
     loaded = load(path, overrides, seed)
-    return identification(prepare(loaded, find_fmus(loaded)))
+    return identification(prepare(loaded, build_fmus(loaded)))
 
 
 MISTAKES = [
@@ -60,7 +61,22 @@ MISTAKES = [
         "parameter of another law",
         "J = ",
         '"lugre.Fc" = "1 N.m"\nJ = ',
-        ["plant.parameters.lugre.Fc", "belongs to law 'lugre'"],
+        [
+            "plant.parameters.lugre.Fc = \"1 N.m\": belongs to law 'lugre', this is 'modified';"
+            " remove it"
+        ],
+    ),
+    (
+        "parameter of another method",
+        'method = "bastin_gevers"',
+        'method = "bastin_gevers"\nparameters = {"rls.memory" = "1 s"}',
+        ["observer.parameters.rls.memory", "belongs to method 'rls', this is 'bastin_gevers'"],
+    ),
+    (
+        "parameter of dry laws outside",
+        "J = ",
+        '"solver.friction_step" = "-1 s"\nJ = ',
+        ['plant.parameters.solver.friction_step = "-1 s"', "outside"],
     ),
     (
         "parameter unit",
@@ -272,7 +288,7 @@ def test_a_check_of_a_number_that_there_is_not_is_refused(
     quantity: str, words: str, base: str, scenario_file: Maker, message: Message, tmp_path: Path
 ) -> None:
     path = scenario_file(base.replace("estimates.b.error_percent", quantity))
-    text = message(lambda: check(path, tmp_path / "out"))
+    text = message(lambda: build_and_check(path, tmp_path / "out"))
     assert text.startswith(f'{path}: checks[0].quantity = "{quantity}": {words}')
     assert not (tmp_path / "out").exists()
 
@@ -340,6 +356,17 @@ def test_quoted_and_nested_parameter_names_mean_the_same(base: str, scenario_fil
     assert quoted == nested
 
 
+def test_a_scenario_gives_what_some_laws_read_and_keeps_it_when_the_law_changes(
+    base: str, scenario_file: Maker
+) -> None:
+    path = scenario_file(base.replace("J = ", '"solver.friction_step" = "2e-4 s"\nJ = '))
+    read = []
+    for law in ("modified", "coulomb"):
+        loaded = load(path, [f"plant.law={law}"])
+        read.append(prepare(loaded, build_fmus(loaded)).values["plant"].get("solver.friction_step"))
+    assert read == [None, 2e-4]
+
+
 def test_stimuli_start_with_the_step_they_fall_on(base: str, scenario_file: Maker) -> None:
     text = base.replace(
         "[[checks]]",
@@ -347,5 +374,5 @@ def test_stimuli_start_with_the_step_they_fall_on(base: str, scenario_file: Make
         " 3.0]]\n[[checks]]",
     )
     loaded = load(scenario_file(text))
-    events = identification(prepare(loaded, find_fmus(loaded))).events
+    events = identification(prepare(loaded, build_fmus(loaded))).events
     assert [(step, value) for step, _, value in events] == [(0, 1.0), (500, 2.0), (1001, 3.0)]

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.run.run import Options, run
-from bristle.harness.scenario.plan import find_fmus, identification, prepare, validation
-from bristle.harness.scenario.scenario import load
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare, validation
+from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.stimuli import coloured
 
 Maker = Callable[..., Path]
@@ -39,7 +41,7 @@ def torque(text: str) -> str:
 
 def prepared(path: Path) -> Any:
     loaded = load(path)
-    return prepare(loaded, find_fmus(loaded))
+    return prepare(loaded, build_fmus(loaded))
 
 
 def velocity(path: Path) -> np.ndarray:

@@ -14,14 +14,17 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import CONTROL_SIZE
-from bristle.harness.cosim.loop import Bus, simulate
-from bristle.harness.run.run import Options
-from bristle.harness.scenario.plan import Setup, find_fmus, identification, prepare
-from bristle.harness.scenario.scenario import load
+from bristle.harness.cosim.bus import Bus
+from bristle.harness.cosim.loop import simulate
+from bristle.harness.run.checked import Options
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.scenario.reading import load
 from bristle.harness.sweep import lanes as together
+from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import design
 from bristle.harness.sweep.lanes import RUNS_WORTH_IT, Together, alike
-from bristle.harness.sweep.sweep import prepare_sweep, run_chunk
+from bristle.harness.sweep.spec import prepare_sweep
 
 Maker = Callable[..., Path]
 COMPENSATED = [
@@ -43,7 +46,7 @@ DIVERGES = "observer.parameters.besancon.alpha2=1e6 1/s"
 
 def setup_of(path: Path, seed: int, *overrides: str) -> Setup:
     loaded = load(path, overrides, seed)
-    return prepare(loaded, find_fmus(loaded))
+    return prepare(loaded, build_fmus(loaded))
 
 
 def control() -> Any:
@@ -117,7 +120,7 @@ def test_fmus_that_are_not_compiled_ones_of_bristle_run_alone(
 ) -> None:
     loaded = load(scenario_file(base), [])
     with pytest.raises(BristleError, match="alone"):
-        Together(prepare(loaded, find_fmus(loaded, kind="python")))
+        Together(prepare(loaded, build_fmus(loaded, kind="python")))
 
 
 def test_rows_of_a_sweep_are_the_same_in_lanes(

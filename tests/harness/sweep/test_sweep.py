@@ -20,10 +20,15 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus.host import Slave
-from bristle.harness.run.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
+from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import Design, design
+from bristle.harness.sweep.executor import Means
+from bristle.harness.sweep.ship import packed
+from bristle.harness.sweep.spec import prepare_sweep
 from bristle.harness.sweep.store import Store
-from bristle.harness.sweep.sweep import Means, Summary, packed, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.sweep.sweep import Summary, run_sweep
 from bristle.harness.sweep.sweep_page import Runs, Share, _places, render, statistics, summary
 
 Maker = Callable[..., Path]
@@ -234,9 +239,11 @@ import os, signal, threading, time
 from pathlib import Path
 from distributed import LocalCluster
 from bristle.harness.sweep.design import design
-from bristle.harness.run.run import Options
+from bristle.harness.run.checked import Options
+from bristle.harness.sweep.executor import Means
+from bristle.harness.sweep.spec import prepare_sweep
 from bristle.harness.sweep.store import Store
-from bristle.harness.sweep.sweep import Means, prepare_sweep, run_sweep
+from bristle.harness.sweep.sweep import run_sweep
 if __name__ == "__main__":
     asked = design({VARY!r}, samples=32)
     sweep = prepare_sweep(Path({str(path)!r}), asked, Options(overrides=("duration=8 s",)))
@@ -247,14 +254,16 @@ if __name__ == "__main__":
             while len(store.files()) < 2:
                 time.sleep(0.02)
             os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-        killer = threading.Thread(target=kill) killer.start() print("DONE", run_sweep(sweep, asked,
-        store, Means(1, cluster.scheduler_address)).verdicts["pass"], killer.is_alive()) class
-        Full(Store):
+        killer = threading.Thread(target=kill)
+        killer.start()
+        means = Means(1, cluster.scheduler_address)
+        verdicts = run_sweep(sweep, asked, store, means).verdicts
+        print("DONE", verdicts["pass"], killer.is_alive())
+        class Full(Store):
             def add(self, rows):
                 raise OSError("no room for a chunk")
         try:
-            run_sweep(sweep, asked, Full(Path({str(tmp_path / "full")!r})), Means(1,
-            cluster.scheduler_address))
+            run_sweep(sweep, asked, Full(Path({str(tmp_path / "full")!r})), means)
         except OSError as error:
             print("SAID", error)
 """
@@ -278,8 +287,10 @@ def test_a_worker_of_dask_keeps_memory_from_run_to_run(path: Path) -> None:
 import resource
 from pathlib import Path
 from bristle.harness.sweep.design import design
-from bristle.harness.run.run import Options
-from bristle.harness.sweep.sweep import packed, prepare_sweep, run_chunk
+from bristle.harness.run.checked import Options
+from bristle.harness.sweep.chunk import run_chunk
+from bristle.harness.sweep.ship import packed
+from bristle.harness.sweep.spec import prepare_sweep
 def faults(sweep):
     run_chunk(sweep, points)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -304,7 +315,7 @@ def test_a_worker_reads_the_fmus_of_a_sweep_once(
     asked = design(VARY, samples=2)
     shipped, points = packed(prepare_sweep(path, asked, Options())), list(asked.points())
     expected = run_chunk(shipped, points[:2])
-    monkeypatch.setattr("bristle.harness.sweep.sweep.Fmu", None)  # what reads one again fails
+    monkeypatch.setattr("bristle.harness.sweep.ship.Fmu", None)  # what reads one again fails
     again = run_chunk(shipped, points[:2])
     assert [row | {"wall_s": 0} for row in again] == [row | {"wall_s": 0} for row in expected]
     assert {row["verdict"] for row in again} == {"pass"}
@@ -443,7 +454,7 @@ def test_a_resumed_sweep_tells_what_those_that_were_there_do(path: Path, tmp_pat
 
 
 def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
-    from bristle.harness.sweep.sweep import Watcher
+    from bristle.harness.sweep.chunk import Watcher
 
     asked = design(VARY, samples=50)
     sweep = prepare_sweep(path, asked, dataclasses.replace(Options(), overrides=("duration=20 s",)))
