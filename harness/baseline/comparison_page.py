@@ -6,29 +6,30 @@ from __future__ import annotations
 
 import math
 import sys
-from html import escape
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common import pages
 from bristle.common.drawing import (
     ESTIMATE,
     FAILED,
     GREY,
     PALE,
     STYLE,
+    Drawing,
     new_figure,
     set_labels,
     set_title,
     svg,
 )
-from bristle.common.html import badge, figure, identifier, number, page, table, unit, written_unit
+from bristle.common.pages import unit
 from bristle.common.time_plot import extremes
 from bristle.harness.baseline.tube import EXACT_MARGIN
 from bristle.harness.baseline.verdicts import (
     Comparison,
-    QuantityVerdict,
     SignalCourse,
     SignalVerdict,
     counts,
@@ -36,14 +37,12 @@ from bristle.harness.baseline.verdicts import (
 )
 
 PAGE_BYTES = 1_000_000  # of the page, which then fits into a mail
-LINE_BYTES = 200  # of what is said of figures that do not fit
 COURSE_SIZE = (8.6, 1.9)  # width and height of the figure of a signal [inch]
 CLOSE_ROWS = 40  # compared rows on either side of the worst point in the close view
 # columns of the picture of a whole course, of each of which the least and the largest value are
 # drawn
 COLUMNS = 200
 BETWEEN = 0.35  # width between both views over the mean of theirs
-MOST_SHARE = 1e4  # of what is allowed; a larger share tells no more
 # of the largest number at an axis: what a shorter axis shows is counted from a number within it
 OFFSET_SPAN = 1e-3
 LEAST_POWER, MOST_POWER = -3, 3  # of ten, between which numbers at an axis are written out
@@ -54,148 +53,42 @@ MOST_FIGURES = 24  # signals that are drawn, those farthest from their reference
 
 def render(found: Comparison) -> str:
     """Return the page, of at most `PAGE_BYTES`: figures that do not fit are left out."""
-    head = badge("good", "pass") if found.passed else badge("bad", "differs")
+    moving = _moving(found)
+    figures: dict[str, Drawing] = {}
+    page = _page(found, figures, len(moving))
+    for each in moving[:MOST_FIGURES]:
+        course, of = found.courses[each.name], found.units.get(each.name, "")
+        figures[each.name] = _draw(each, course, of)
+        larger = _page(found, figures, len(moving))
+        if len(larger.encode()) > PAGE_BYTES:
+            break
+        page = larger
+    return page
+
+
+def _page(found: Comparison, figures: Mapping[str, Drawing], moving: int) -> str:
     inside, judged = counts(found.signals)
-    lead = (
-        f"{inside} of {judged} signals inside their tubes at {found.rows} of the {found.instants}"
-        " instants of A"
-    )
-    parts = [
-        f"<header><h1>{escape(found.scenario)} against its reference {head}</h1>"
-        f"<p class='lead'>{lead}. A: {escape(found.first)}; B: {escape(found.second)}</p></header>"
-    ]
-    parts += [f'<p class="alarm">{escape(line)}</p>' for line in found.refused]
-    different = differences(found)
-    if different and not found.refused:
-        parts.append(
-            "<h2>What differs</h2><ul>"
-            + "".join(f"<li>{escape(line)}</li>" for line in different)
-            + "</ul>"
-        )
-    if found.notes:
-        parts.append(
-            "<h2>Not the same, and not judged</h2><ul>"
-            + "".join(f"<li>{escape(n)}</li>" for n in found.notes)
-            + "</ul>"
-        )
-    if found.quantities:
-        columns = ("number", "unit", "A", "B", "allowed ±", "")
-        parts.append(
-            "<h2>Numbers</h2>"
-            + table(columns, [_quantity(each) for each in found.quantities], (2, 3, 4))
-        )
-    if found.signals:
-        names = (
-            "signal",
-            "unit",
-            "worst at, s",
-            "A",
-            "B",
-            "B − A",
-            "allowed",
-            "of what is allowed",
-            "",
-        )
-        rows = [_signal(each, found.units.get(each.name, "")) for each in found.signals]
-        parts.append("<h2>Signals</h2>" + table(names, rows, (2, 3, 4, 5, 6, 7)))
-    title = f"{found.scenario} against its reference"
-    parts += _figures(found, PAGE_BYTES - len(page(title, "\n".join(parts)).encode()))
-    return page(title, "\n".join(parts))
-
-
-def _quantity(each: QuantityVerdict) -> tuple[str, ...]:
-    words = {
-        True: badge("good", "same"),
-        False: badge("bad", "differs"),
-        None: badge("open", "not judged"),
-    }[each.passed]
-    cells = (number(each.first, 6), number(each.second, 6), number(each.tolerance, 2))
-    return (
-        identifier(each.path),
-        unit(each.unit),
-        *cells,
-        words + escape(f" {each.why}" if each.why else ""),
+    return pages.render(
+        "bristle.harness.baseline/compare.html",
+        found=found,
+        inside=inside,
+        judged_signals=judged,
+        differences=differences(found),
+        moving=moving,
+        figures=figures,
     )
 
 
-def _signal(each: SignalVerdict, of: str) -> tuple[str, ...]:
-    word = badge("good", "inside") if each.passed else badge("bad", "outside")
-    if each.passed and each.why:
-        word = badge("open", "not judged")
-    off = None if each.value is None or each.reference is None else each.value - each.reference
-    cells = (
-        number(each.time),
-        number(each.reference, 6),
-        number(each.value, 6),
-        number(off, 2),
-        _margins(each),
-        _share(each.share),
-    )
-    return (
-        identifier(each.name),
-        unit(of),
-        *cells,
-        word + escape(f" {each.why}" if each.why else ""),
-    )
-
-
-def _margins(each: SignalVerdict) -> str:
-    """Return how far B may be from A: one number where it is as far on both sides."""
-    if each.margins is None:
-        return ""
-    below, above = each.margins
-    if not above:
-        return "exactly 0"
-    low, high = number(-below, 2), number(above, 2)
-    return f"± {high}" if low == f"−{high}" else f"{low} to +{high}"
-
-
-def _share(share: float | None) -> str:
-    if share is None:
-        return ""
-    return (
-        f"{number(100 * share, 2)} %"
-        if share < MOST_SHARE
-        else f"over {number(100 * MOST_SHARE)} %"
-    )
-
-
-def _figures(found: Comparison, room: int) -> list[str]:
-    """Return the figures of signals that move, as many as fit into so many bytes, those farthest
-    from their references first.
-    """
+def _moving(found: Comparison) -> list[SignalVerdict]:
+    """Return the signals that move, those farthest from their references first."""
     moving = [
         each
         for each in found.signals
         if each.name in found.courses and _moves(found.courses[each.name])
     ]
-    worst = sorted(
+    return sorted(
         moving, key=lambda each: (each.passed, -(each.share if each.share is not None else np.inf))
     )
-    parts = ["<h2>Courses</h2>"] if worst else []
-    room -= LINE_BYTES
-    drawn = 0
-    for each in worst[:MOST_FIGURES]:
-        caption = (
-            f"{each.name}: B (blue) in its tube (grey), its worst point marked; right: around that"
-            " point"
-        )
-        picture = figure(
-            each.name,
-            _draw(each, found.courses[each.name], found.units.get(each.name, "")),
-            caption,
-        )
-        room -= len(picture.encode())
-        if room < 0:
-            break
-        parts.append(picture)
-        drawn += 1
-    if left := len(worst) - drawn:
-        parts.append(
-            f'<p class="sub">Not drawn: {left} more signals that move, nearer to their'
-            " references.</p>"
-        )
-    return parts
 
 
 def _moves(course: SignalCourse) -> bool:
@@ -203,7 +96,7 @@ def _moves(course: SignalCourse) -> bool:
     return len(values) < len(course.values) or bool(np.ptp(values))
 
 
-def _draw(each: SignalVerdict, course: SignalCourse, of: str) -> str:
+def _draw(each: SignalVerdict, course: SignalCourse, of: str) -> Drawing:
     from matplotlib import rc_context
 
     place = 0 if each.time is None else int(np.argmin(np.abs(course.time - each.time)))
@@ -255,9 +148,7 @@ def _scale(ax: Any, of: str) -> str:
     ax.yaxis.set_major_formatter(shown)
     if offset:
         set_title(ax, f"{offset:+.12g}".replace("-", "−"), loc="right")
-    return " ".join(
-        filter(None, (f"10{str(power).translate(RAISED)}" if power else "", written_unit(of)))
-    )
+    return " ".join(filter(None, (f"10{str(power).translate(RAISED)}" if power else "", unit(of))))
 
 
 def _plot(ax: Any, course: SignalCourse, rows: NDArray[np.intp]) -> None:

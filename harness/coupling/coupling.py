@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from bristle.common import pages
 from bristle.common.errors import BristleError
-from bristle.common.html import beside, identifier, number, page, table
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import Array
@@ -285,54 +285,15 @@ def _json(found: Coupling) -> bytes:
 
 
 def _page(found: Coupling) -> bytes:
-    parts = [
-        f"<header><h1>Coupling of {identifier(found.scenario)}</h1><p class='lead'>What the order"
-        " of the FMUs and the communication step change, against controller, observer and plant"
-        f" one after the other with steps of {found.step / REFINED:g}"
-        f" s.</p>{beside(['coupling.json'])}</header>"
-    ]
-    parts += [f'<p class="alarm">{note}</p>' for note in found.notes]
     known = list(found.refined)
     ways = [
         ("refined", found.verdict, found.refined),
-        *((s.name, s.verdict, s.estimates) for s in found.schemes),
+        *((each.name, each.verdict, each.estimates) for each in found.schemes),
     ]
-    ends = [
-        (name, judged, *(number(values.get(each), 5) for each in known))
-        for name, judged, values in ways
-    ]
-    parts.append(
-        "<h2>Verdict and estimates at the end</h2><p>In the unit of the estimate; the verdict is by"
-        " the checks of the scenario that need no second run.</p>"
-    )
-    parts.append(
-        table(
-            ("coupling", "verdict", *map(identifier, known)), ends, tuple(range(2, len(known) + 2))
-        )
-    )
-    orders = [
-        (identifier(name), "–" if order is None else number(order, 3))
-        for name, order in found.orders.items()
-    ]
-    text = "The error falls with this power of the communication step (all at once)."
-    parts.append(f"<h2>Order</h2><p>{text}</p>" + table(("signal", "order"), orders, (1,)))
-    for each in found.schemes:
-        rows = [
-            (
-                identifier(name),
-                number(100 * e.relative, 3),
-                number(e.rms, 3),
-                number(e.largest, 3),
-                "–" if e.delay is None else number(1e3 * e.delay, 3),
-            )
-            for name, e in each.errors.items()
-        ]
-        head = (
-            "signal",
-            "rms error, % of its rms",
-            "rms error, SI unit",
-            "largest error, SI unit",
-            "delay, ms",
-        )
-        parts.append(f"<h2>{each.name}</h2>" + table(head, rows, (1, 2, 3, 4)))
-    return page(f"coupling of {found.scenario}", "\n".join(parts)).encode()
+    return pages.render(
+        "bristle.harness.coupling/report.html",
+        found=found,
+        refined_step=found.step / REFINED,
+        known=known,
+        ends=[(name, judged, [values.get(e) for e in known]) for name, judged, values in ways],
+    ).encode()

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from bristle.common import pages
 from bristle.common.errors import BristleError, suggest
 from bristle.common.files import check_regular
-from bristle.common.html import badge, beside, identifier, page
 from bristle.common.output import output_folder, to_json
 from bristle.common.parameter_set import Value, finite_number, parameter_values
 from bristle.common.provenance import provenance
@@ -38,8 +37,6 @@ from bristle.harness.exchange.replay import (
     number_of_steps,
     rows_of,
     signals_text,
-    table_of,
-    tally_of,
     verdict_of,
 )
 from bristle.harness.run import results
@@ -436,26 +433,11 @@ def _files(fmu: Path, replayed: Replayed) -> dict[str, str | bytes]:
         files[f"signals_{k}.csv"] = signals_text(
             each.trace, [name for _, name in each.trace.record]
         )
-    return files | {"report.html": _page(fmu, replayed, files)}
-
-
-def _page(fmu: Path, replayed: Replayed, files: Iterable[str]) -> str:
-    head = badge("good", "pass") if replayed.passed else badge("bad", "fail")
-    found = [signal for each in replayed.experiments for signal in each.agreement]
-    count = f'<p class="tally">{tally_of(found)}</p>' if found else ""
-    body = (
-        f"<header>{count}<h1>Experiments of {identifier(fmu.name)}"
-        f" {head}</h1>{beside(files)}</header>"
+    page = pages.render(
+        "bristle.harness.exchange/experiments.html",
+        fmu=fmu.name,
+        found=replayed,
+        signals=[signal for each in replayed.experiments for signal in each.agreement],
+        files=list(files),
     )
-    if replayed.changed:
-        names = ", ".join(identifier(name) for name in replayed.changed)
-        body += f'<p class="alarm">Not as they were when the FMU was made: {names}.</p>'
-    for each in replayed.experiments:
-        badge_of = badge("good" if each.passed else "bad", each.verdict)
-        body += (
-            f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{escape(each.summary)}.</p>"
-        )
-        if each.agreement:
-            text = "Largest difference from the reference, over the size of the signal, and when."
-            body += f"<p>{text}</p>" + table_of(each.agreement)
-    return page(f"experiments of {fmu.name}", body)
+    return files | {"report.html": page}

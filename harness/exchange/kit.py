@@ -7,14 +7,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bristle.common import pages
 from bristle.common.errors import BristleError, suggest
-from bristle.common.html import badge, beside, identifier, page
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import table_text
@@ -25,7 +24,6 @@ from bristle.fmus.related import Experiment, related_files
 from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
 from bristle.harness.cosim.isolate import simulate_isolated
 from bristle.harness.exchange.archive import Archive
-from bristle.harness.exchange.kit_readme import readme
 from bristle.harness.exchange.replay import (
     STEPS_BY_DEFAULT,
     Agreement,
@@ -34,8 +32,6 @@ from bristle.harness.exchange.replay import (
     number_of_steps,
     rows_of,
     signals_text,
-    table_of,
-    tally_of,
     verdict_of,
 )
 from bristle.harness.exchange.ssp import (
@@ -124,10 +120,9 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         # the package, and the same files beside it
         system, content = _system(setup, bus), _content(setup, found)
         resources = {f"resources/{file}": data for file, data in files.items()} | content
-        text = readme(system, name, REPLAY_TOLERANCE, MOST_STEPS_INSIDE)
         written = {
             f"{name}.ssp": archive_bytes(package_files(system) | resources),
-            "README.md": text.encode(),
+            "README.md": _readme(system).encode(),
         }
         written |= {f"fmus/{file}": data for file, data in files.items()}
         written |= {file.removeprefix("resources/"): data for file, data in content.items()}
@@ -325,6 +320,24 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
     )
 
 
+def _readme(system: SystemStructure) -> str:
+    """Return one page for who receives the package."""
+    stop, step = system.stop or 0.0, system.step or 0.0
+    return pages.render(
+        "bristle.harness.exchange/README.md",
+        name=system.name,
+        parts=[each.name for each in system.components if each.type != CSV_TYPE],
+        tables=[Path(each.source).name for each in system.components if each.type == CSV_TYPE],
+        connections=system.connections,
+        tolerance=f"{REPLAY_TOLERANCE:g}",
+        stop=f"{stop:g}",
+        step=f"{step:g}",
+        step_ns=round(step * 1e9),
+        short=f"{min(stop, MOST_STEPS_INSIDE * step):g}",
+        inside="UNPACKED/extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv",
+    )
+
+
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
@@ -501,7 +514,9 @@ def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, 
     return {
         "result.json": content,
         "signals.csv": _signals(trace),
-        "report.html": _page(package, found),
+        "report.html": pages.render(
+            "bristle.harness.exchange/replay.html", package=package.path.name, found=found
+        ),
     }
 
 
@@ -513,17 +528,3 @@ def _recorded(package: Package) -> Any:
         return json.loads(package.read(VERDICT))
     except ValueError as error:
         raise package.mistake(f"{VERDICT}: no JSON ({error}); export it again") from None
-
-
-def _page(package: Package, found: Replayed) -> str:
-    head = badge("good" if found.passed else "bad", found.verdict)
-    text = (
-        "Largest difference from the reference, over the range of the signal, and when."
-        if found.compared
-        else "The package holds no reference to compare with."
-    )
-    failure = f'<p class="alarm">{escape(found.failure)}</p>' if found.failure else ""
-    count = f'<p class="tally">{tally_of(found.agreement)}</p>' if found.compared else ""
-    title = f"<h1>Replay of {identifier(package.path.name)} {head}</h1>"
-    body = f"<header>{count}{title}{beside(('signals.csv', 'result.json'))}</header>{failure}<p>{text}</p>"
-    return page(f"replay of {package.path.name}", body + table_of(found.agreement))

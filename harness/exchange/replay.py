@@ -6,13 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from bristle.common.errors import BristleError
-from bristle.common.html import badge, identifier, number, table, tally
 from bristle.common.signals import Array, table_text
 from bristle.harness.cosim.bus import Trace
 
@@ -148,22 +146,3 @@ def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:
         }
         for e in found
     ]
-
-
-def tally_of(found: Sequence[Agreement]) -> str:
-    """Return how many of them agree, for the top of a page."""
-    return tally(sum(each.holds for each in found), len(found), "signals agree")
-
-
-def table_of(found: Sequence[Agreement]) -> str:
-    """Return them as a table of a page."""
-    cells = [
-        (
-            identifier(e.name),
-            number(e.worst, 2),
-            number(e.time),
-            badge("good", "agrees") if e.holds else badge("bad", "differs") + escape(f" {e.why}"),
-        )
-        for e in found
-    ]
-    return table(("signal", "difference", "s", ""), cells, (1, 2))

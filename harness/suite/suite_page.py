@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 from xml.etree import ElementTree
 
-from bristle.common.html import badge, beside, identifier, number, page, table, tally, unit
+from bristle.common import pages
 from bristle.common.xml import printable
 from bristle.harness.metrics.checks import SIGNS, check_unit
-from bristle.harness.suite.suite import CaseResult, CheckSummary, by_scenario, summaries
-
-VERDICT_BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
+from bristle.harness.suite.suite import CaseResult, by_scenario, summaries
 
 
 def verdict(tested: Sequence[CaseResult]) -> str:
@@ -74,11 +69,10 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
     """
     root = ElementTree.Element("testsuites")
     for path, runs in by_scenario(tested).items():
-        count = {word: sum(each.verdict == word for each in runs) for word in ("fail", "error")}
         attributes = {
             "tests": str(len(runs)),
-            "failures": str(count["fail"]),
-            "errors": str(count["error"]),
+            "failures": str(_count(runs, "fail")),
+            "errors": str(_count(runs, "error")),
         }
         suite = ElementTree.SubElement(root, "testsuite", {"name": path.stem, **attributes})
         for each in runs:
@@ -99,94 +93,41 @@ def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
     """Return index.html: each scenario with its checks over all runs, and all runs with links to
     their reports.
     """
-    passed = sum(each.verdict == "pass" for each in tested)
-    head = f'<p class="tally">{tally(passed, len(tested), "runs pass")} {_checks_held(tested)}</p>'
-    word = badge(VERDICT_BADGES[verdict(tested)], verdict(tested))
-    parts = [
-        f"<header>{head}<h1>Scenario suite {word}</h1>{beside(['suite.json'])}</header>",
-        "<h2>Scenarios</h2>",
-        _overview(tested),
+    scenarios = [_scenario(path.stem, runs) for path, runs in by_scenario(tested).items()]
+    checks = [check for each in scenarios for check in each["checks"]]
+    return pages.render(
+        "bristle.harness.suite/index.html",
+        scenarios=scenarios,
+        verdict=verdict(tested),
+        passed=_count(tested, "pass"),
+        count=len(tested),
+        lost=_count(tested, "error"),
+        checks_passed=sum(check.passed for check in checks),
+        checks=sum(check.count for check in checks),
+        signs=SIGNS,
+        units={check.quantity: check_unit({}, check.quantity) for check in checks},
+        made=provenance,
+    )
+
+
+def _scenario(name: str, runs: Sequence[CaseResult]) -> dict[str, Any]:
+    listed = [
+        {
+            "name": each.case.name or name,
+            "verdict": each.verdict,
+            "report": each.report.as_posix(),
+            "failures": failures(each),
+        }
+        for each in runs
     ]
-    parts += [_scenario(path, runs) for path, runs in by_scenario(tested).items()]
-    rows = [f"<dt>{key}</dt><dd>{escape(str(value))}</dd>" for key, value in provenance.items()]
-    parts.append(f"<h2>Where it comes from</h2><dl>{''.join(rows)}</dl>")
-    return page(f"{passed} of {len(tested)} runs pass", "\n".join(parts))
+    return {
+        "name": name,
+        "runs": listed,
+        "passed": _count(runs, "pass"),
+        "seconds": math.fsum(each.wall_s for each in runs),
+        "checks": summaries(runs),
+    }
 
 
-def _checks_held(tested: Sequence[CaseResult]) -> str:
-    """Return in how many runs checks hold, of all checks and runs; good only if every run came to a
-    result.
-    """
-    found = [each for runs in by_scenario(tested).values() for each in summaries(runs)]
-    passed, count = sum(each.passed for each in found), sum(each.count for each in found)
-    lost = sum(each.verdict == "error" for each in tested)
-    if not lost:
-        return tally(passed, count, "checks")
-    return badge(
-        "bad", f"{passed} of {count} checks, {lost} {'run' if lost == 1 else 'runs'} without result"
-    )
-
-
-def _overview(tested: Sequence[CaseResult]) -> str:
-    rows = []
-    for path, runs in by_scenario(tested).items():
-        passed = sum(each.verdict == "pass" for each in runs)
-        link = f'<a href="#{quote(path.stem)}">{identifier(path.stem)}</a>'
-        rows.append(
-            (
-                link,
-                badge("good" if passed == len(runs) else "bad", f"{passed} of {len(runs)}"),
-                number(_seconds(runs), 3),
-            )
-        )
-    return table(("scenario", "runs that pass", "s"), rows, (2,))
-
-
-def _seconds(runs: Sequence[CaseResult]) -> float:
-    return math.fsum(each.wall_s for each in runs)
-
-
-def _scenario(path: Path, runs: Sequence[CaseResult]) -> str:
-    checks = [_check_row(each, len(runs)) for each in summaries(runs)]
-    parts = [f'<h2 id="{quote(path.stem)}">{escape(path.stem)}</h2>']
-    if checks:
-        parts.append(
-            table(
-                ("check", "limit", "unit", "holds in", "median", "worst", "where"),
-                checks,
-                (1, 4, 5),
-            )
-        )
-    rows = []
-    for each in runs:
-        name = identifier(each.case.name or path.stem)
-        link = (
-            name
-            if each.verdict == "error"
-            else f'<a href="{quote(each.report.as_posix())}">{name}</a>'
-        )
-        rows.append(
-            (
-                link,
-                badge(VERDICT_BADGES[each.verdict], each.verdict),
-                "<br>".join(map(escape, failures(each))),
-            )
-        )
-    listed = table(("run", "", "what does not hold"), rows)
-    many = len(runs) > 1
-    return "\n".join(
-        [
-            *parts,
-            f"<details><summary>All {len(runs)} runs</summary>{listed}</details>"
-            if many
-            else listed,
-        ]
-    )
-
-
-def _check_row(each: CheckSummary, runs: int) -> tuple[str, ...]:
-    held = badge("good" if each.passed == each.count else "bad", f"{each.passed} of {each.count}")
-    limit = f"{SIGNS[each.kind]} {number(each.limit)}"
-    where = identifier(each.worst_run) if runs > 1 else ""
-    own = unit(check_unit({}, each.quantity)) or "–"
-    return (identifier(each.name), limit, own, held, number(each.median), number(each.worst), where)
+def _count(runs: Sequence[CaseResult], verdict: str) -> int:
+    return sum(each.verdict == verdict for each in runs)

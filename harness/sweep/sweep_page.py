@@ -10,12 +10,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common import pages
 from bristle.common.cache import digest
 from bristle.common.drawing import (
     ESTIMATE,
@@ -28,7 +28,6 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.html import badge, figure, identifier, number, page, table, tally
 from bristle.common.signals import Array
 from bristle.harness.sweep.store import ERROR_VERDICT, Store
 
@@ -221,27 +220,28 @@ def summary(runs: Runs) -> dict[str, Any]:
 
 def render(runs: Runs) -> str:
     """Return report.html."""
-    share = runs.share()
-    head = tally(share.count, share.total, "runs pass")
-    low, high = share.interval
-    note = (
-        f"{100 * share.count / share.total:.1f} % pass; 95 % interval {100 * low:.1f} to"
-        f" {100 * high:.1f} % (Clopper and Pearson), if the runs are independent draws: those of a"
-        " grid are not."
-    )
     shown = _shown(runs)
-    scenarios = ", ".join(dict.fromkeys(str(sweep["scenario"]) for sweep in runs.sweeps))
-    title = f"<h1>Sweep of {escape(scenarios)} {head}</h1>"
-    missing = "".join(
-        f"<p><b>{escape(line[0].upper() + line[1:])}.</b></p>" for line in runs.unfinished
+    found = [each for each in statistics(runs) if each["valid"].total]
+    drawn = [each for each in found if len(each["errors"]) > 1]
+    mapped = _mapped(runs)
+    pairs = list(itertools.combinations(mapped, 2))
+    return pages.render(
+        "bristle.harness.sweep/report.html",
+        scenarios=list(dict.fromkeys(sweep["scenario"] for sweep in runs.sweeps)),
+        share=runs.share(),
+        unfinished=runs.unfinished,
+        versions=_versions(runs),
+        outcomes=_outcomes(runs),
+        estimates=found,
+        histograms=_histograms(drawn) if drawn else None,
+        tail=TAIL,
+        groups=_groups(runs) if runs.varied else None,
+        maps=_scatter(runs, pairs[:MOST_MAPS], shown) if pairs else None,
+        more_pairs=len(pairs) > MOST_MAPS,
+        most_maps=MOST_MAPS,
+        listed=_listed(runs, shown),
+        sweeps=runs.sweeps,
     )
-    parts = [
-        f"<header>{title}{missing}<p>{note}</p>{_mixed(runs)}</header>",
-        _verdicts(runs),
-        _estimates(runs, shown),
-    ]
-    parts += [_maps(runs, shown), _rows(runs, shown), _origin(runs)]
-    return page(f"{share.count} of {share.total} runs pass", "\n".join(parts))
 
 
 # -- parts -----------------------------------------------------------------------------------------
@@ -253,95 +253,31 @@ def _failed(runs: Runs) -> dict[str, int]:
     return dict(Counter(itertools.chain.from_iterable(said)).most_common())
 
 
-def _verdicts(runs: Runs) -> str:
+def _outcomes(runs: Runs) -> list[tuple[str, Share]]:
+    """Return what runs came to, verdicts first, and how many of them did."""
     counts = Counter(runs.verdict)
-    rows = [
-        (f"verdict {word}", f"{counts[word]}", Share(counts[word], len(runs)).text())
-        for word in OUTCOMES
-        if counts[word]
-    ]
-    messages = Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
-    for what, count in [
-        *((f"check fails: {name}", count) for name, count in _failed(runs).items()),
-        *messages,
-    ]:
-        rows.append((identifier(what), f"{count}", Share(count, len(runs)).text()))
-    return "<h2>Verdicts</h2>" + table(("", "runs", "share [95 % interval]"), rows, (1,))
+    found = [(f"verdict {word}", counts[word]) for word in OUTCOMES if counts[word]]
+    found += [(f"check fails: {name}", count) for name, count in _failed(runs).items()]
+    found += Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
+    return [(what, Share(count, len(runs))) for what, count in found]
 
 
-def _mixed(runs: Runs) -> str:
-    """Say so where runs of several versions of the scenario or of its FMUs are in the store, with
-    the share of each.
+def _versions(runs: Runs) -> list[dict[str, Any]]:
+    """Return the versions of the scenario and of its FMUs of which there are runs, with the share
+    of each that passes.
     """
-    counts = Counter(runs.versions)
-    if len(counts) < 2:
-        return ""
-    passed = Counter(
-        version for version, word in zip(runs.versions, runs.verdict, strict=True) if word == "pass"
-    )
     dates = {
         sweep["scenario_sha256"]: sweep["provenance"]["date"] for sweep in reversed(runs.sweeps)
     }
-    rows = []
-    for version, count in counts.items():
-        fmus = digest(*map(str, version[1:]))[:8]
-        since = escape(str(dates.get(version[0], "")))
-        rows.append(
-            (
-                f"<code>{escape(str(version[0])[:8])}</code>",
-                f"<code>{fmus}</code>",
-                since,
-                Share(passed[version], count).text(),
-            )
-        )
-    note = (
-        f"<p>The runs are of {len(counts)} versions of the scenario or its FMUs; everything below"
-        " is over all of them.</p>"
-    )
-    return note + table(
-        ("scenario, hash", "FMUs, hash", "first asked for", "runs that pass [95 % interval]"), rows
-    )
-
-
-def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
-    found = [each for each in statistics(runs) if each["valid"].total]
-    if not found:
-        return ""
-    rows = [
-        (
-            identifier(each["parameter"]),
-            each["valid"].text(),
-            *(number(float(value), 3) for value in each["percentiles"]),
-            _linked(runs, each["worst"], number(each["worst_error"], 3), shown),
-            each["coverage"].text(),
-        )
-        for each in found
+    return [
+        {
+            "scenario": str(version[0])[:8],
+            "fmus": digest(*map(str, version[1:]))[:8],
+            "since": dates.get(version[0], ""),
+            "share": runs.share(np.array([each == version for each in runs.versions])),
+        }
+        for version in dict.fromkeys(runs.versions)
     ]
-    head = (
-        "parameter",
-        "valid at the end",
-        "error: 5th percentile, %",
-        "median",
-        "95th",
-        "worst",
-        "true value in the interval",
-    )
-    parts = ["<h2>Estimates</h2>", table(head, rows, (2, 3, 4, 5))]
-    parts.append(
-        "<p>Errors are those of the final estimates, relative to the true values, of runs in which"
-        " the observer calls them valid. The last column should be 95 %: how often the true value"
-        " lies within 1.96 standard deviations of the estimate, where the observer gives one.</p>"
-    )
-    drawn = [each for each in found if len(each["errors"]) > 1]
-    if drawn:
-        caption = (
-            f"Errors of the final estimates. {TAIL:g} % of the runs at either end lie outside what"
-            " is drawn."
-        )
-        parts.append(
-            figure("Distributions of the errors of the estimates", _histograms(drawn), caption)
-        )
-    return "\n".join(parts)
 
 
 def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
@@ -375,56 +311,37 @@ def _shown(runs: Runs) -> NDArray[np.intp]:
     return np.sort(np.concatenate([failing, passing[: SHOWN_RUNS - len(failing)]]))
 
 
-def _maps(runs: Runs, shown: NDArray[np.intp]) -> str:
-    varied = runs.varied
-    if not varied:
-        return ""
-    mapped = [
+def _mapped(runs: Runs) -> list[str]:
+    """Return the values that maps show: numbers, and few different texts."""
+    return [
         name
-        for name in varied
+        for name in runs.varied
         if name != "seed" and (runs.numeric(name) or len(set(runs.column(name))) <= MOST_WORDS)
     ]
-    parts = ["<h2>Where runs fail</h2>"]
-    rows = [
-        (identifier(runs.label(name)), escape(text), each.text())
-        for name in varied
-        for text, each in _groups(runs, name)
+
+
+def _groups(runs: Runs) -> list[tuple[str, str, Share]]:
+    """Return the share of passing runs by each value that varies."""
+    return [
+        (runs.label(name), text, share)
+        for name in runs.varied
+        for text, share in _shares(runs, name)
     ]
-    parts.append(table(("value", "", "runs that pass [95 % interval]"), rows))
-    pairs = list(itertools.combinations(mapped, 2))[:MOST_MAPS]
-    if pairs:
-        drawn = (
-            f"Places of {len(shown)} of {len(runs)} runs"
-            if len(shown) < len(runs)
-            else f"All {len(runs)} runs"
-        )
-        caption = (
-            f"{drawn}. A point stands for all runs with these two values, whatever their seed and"
-            " their other values; it leads to the command that repeats one of them, which does not"
-            " pass if any does not."
-        )
-        if len(pairs) < len(mapped) * (len(mapped) - 1) // 2:
-            caption += f" The first {MOST_MAPS} pairs of values."
-        parts.append(
-            "<figure"
-            f' class="inline">{_scatter(runs, pairs, shown)}<figcaption>{caption}</figcaption></figure>'
-        )
-    return "\n".join(parts)
 
 
-def _groups(runs: Runs, name: str) -> list[tuple[str, Share]]:
+def _shares(runs: Runs, name: str) -> list[tuple[str, Share]]:
     """Return the share of passing runs by value, or by interval of equal numbers of runs where
     there are many values.
     """
     values = runs.column(name)
     different = sorted(set(values) - {None})
     if len(different) <= BINS or not runs.numeric(name):
-        wanted = [
-            (value, np.array([each == value for each in values])) for value in different[: 3 * BINS]
-        ]
         return [
-            (value if isinstance(value, str) else f"{value:.6g}", runs.share(chosen))
-            for value, chosen in wanted
+            (
+                value if isinstance(value, str) else f"{value:.6g}",
+                runs.share(np.array([each == value for each in values])),
+            )
+            for value in different[: 3 * BINS]
         ]
     if name == "seed":
         return []
@@ -505,48 +422,17 @@ def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:
     return lambda value: float(words.index(str(value)))
 
 
-def _rows(runs: Runs, shown: NDArray[np.intp]) -> str:
-    """List the runs of the maps with the commands that repeat them."""
-    commands, failed, messages = (
-        runs.column("command"),
-        runs.column("failed"),
-        runs.column("message"),
-    )
-    rows = []
-    for each in shown:
-        verdict = runs.verdict[each]
-        why = escape("; ".join(text for text in (failed[each], messages[each]) if text))
-        place = (
-            "<span"
-            f' id="run-{each}">{runs.column("run")[each] if len(runs.sweeps) == 1 else each}</span>'
-        )
-        command = f"<code>{escape(str(commands[each]))}</code>"
-        rows.append((place, badge("good" if verdict == "pass" else "bad", verdict), why, command))
-    listed = table(("run", "", "what does not hold", "command that repeats it alone"), rows)
-    return f"<h2>Runs</h2><p>{len(shown)} of {len(runs)} runs; all are in the store.</p>{listed}"
-
-
-def _linked(runs: Runs, row: int | None, text: str, shown: NDArray[np.intp]) -> str:
-    return f'<a href="#run-{row}">{text}</a>' if row is not None and row in shown else text
-
-
-def _origin(runs: Runs) -> str:
-    parts = ["<h2>Where it comes from</h2>"]
-    for sweep in runs.sweeps:
-        origin = sweep["provenance"]
-        told = {
-            "scenario": f"{sweep['scenario']} (sha256 {sweep['scenario_sha256'][:16]})",
-            "command": origin["command"],
-            "asked for": f"{sweep['runs']} runs",
-            "date": origin["date"],
-            "version": f"{origin['version']}, {origin['platform']}",
-            "FMUs": ", ".join(sweep["fmus"]),
+def _listed(runs: Runs, shown: NDArray[np.intp]) -> list[dict[str, Any]]:
+    """Return the runs of the maps with the commands that repeat them."""
+    columns = ("run", "command", "failed", "message")
+    run, command, failed, message = (runs.column(name) for name in columns)
+    return [
+        {
+            "index": each,
+            "name": run[each] if len(runs.sweeps) == 1 else each,
+            "verdict": runs.verdict[each],
+            "why": [text for text in (failed[each], message[each]) if text],
+            "command": command[each],
         }
-        parts.append(
-            "<dl>"
-            + "".join(
-                f"<dt>{name}</dt><dd>{escape(str(value))}</dd>" for name, value in told.items()
-            )
-            + "</dl>"
-        )
-    return "\n".join(parts)
+        for each in shown.tolist()
+    ]

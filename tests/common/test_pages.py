@@ -8,9 +8,11 @@ import subprocess
 
 import numpy as np
 import pytest
+from jinja2 import TemplateNotFound, UndefinedError
+from markupsafe import Markup
 
 from bristle.common.drawing import STYLE, Drawing, new_figure, set_labels, svg
-from bristle.common.html import figure, identifier, page, table, tally
+from bristle.common.pages import _environment, component, identifier, number, render
 from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
 
 BROWSER = next(
@@ -22,6 +24,18 @@ BROWSER = next(
     None,
 )
 MOST_LINES = 200  # of the script in a page
+
+
+def page(body, **data):
+    """Return the page of a template with this body."""
+    template = """{% extends "base.html" %}{% from "components.html" import table %}
+        {% block title %}<t>{% endblock %}{% block body %}"""
+    return _environment().from_string(template + body + "{% endblock %}").render(data)
+
+
+def figure(title, svg, caption):
+    """Return a figure as it stands in a page."""
+    return component("plot", title, svg, caption)
 
 
 def drawn(clock="run"):
@@ -50,36 +64,59 @@ def test_an_identifier_may_break_between_its_parts_but_not_in_a_number():
 
 
 def test_every_heading_has_an_address_of_its_own():
-    text = page(
-        "t", '<h2>A <span class="sub">b</span></h2><h2>A b</h2><h2 id="own">C</h2><h2>—</h2>'
-    )
+    text = page('<h2>A <span class="sub">b</span></h2><h2>A b</h2><h2 id="own">C</h2><h2>—</h2>')
     ids = re.findall(r'<h2 id="([^"]*)"', text)
     assert ids == ["a-b", "a-b-2", "own", "section"]
     assert re.findall(r'href="#([^"]*)"', text) == ids
 
 
 def test_a_tally_is_good_only_if_all_of_some_hold():
-    assert 'good">14 of 14 checks' in tally(14, 14, "checks")
-    assert "bad" in tally(13, 14, "checks")
-    assert "bad" in tally(0, 0, "checks")
+    assert 'good">14 of 14 checks' in component("tally", 14, 14, "checks")
+    assert "bad" in component("tally", 13, 14, "checks")
+    assert "bad" in component("tally", 0, 0, "checks")
 
 
 def test_a_table_of_many_columns_names_its_cells_for_narrow_screens():
-    head = ["a", "b<sub>1</sub>", "c", "d", "e", "f"]
-    assert '<td class="n" data-name="b1">1</td>' in table(head, ["0123456"[:6]], (1,))
-    assert "data-name" not in table(head[:5], ["01234"])
+    body = "{% call(row) table(head, [1]) %}{{ row(*cells) }}{% endcall %}"
+    head = ["a", Markup("b<sub>1</sub>"), "c", "d", "e", "f<"]
+    text = page(body, head=head, cells="01234<")
+    assert '<td class="n" data-name="b1">1</td>' in text
+    assert "<td>0</td>" in text
+    assert '<td data-name="f&lt;">&lt;</td>' in text
+    assert "data-name=" not in page(body, head=head[:5], cells="01234")
+
+
+def test_what_no_template_made_is_escaped():
+    text = page('<a title="{{ name }}">{{ name }}</a>', name="<script>\"'&")
+    assert '<a title="&lt;script&gt;&#34;&#39;&amp;">&lt;script&gt;&#34;&#39;&amp;</a>' in text
+    assert number(-1.5e-9) == "−1.50·10<sup>-9</sup>".replace("-", "−")
+    assert page("{{ x|number(2) }}", x=2e7).count("2·10<sup>7</sup>") == 1
+
+
+def test_a_name_that_a_template_does_not_know_is_a_mistake():
+    with pytest.raises(UndefinedError, match="nothing"):
+        page("{{ nothing }}")
+    with pytest.raises(TemplateNotFound):
+        render("bristle.common/none.html")
+
+
+def test_provenance_names_what_is_known_file_by_file():
+    made = {"version": "1", "folder": None, "seed": 3, "records_sha256": {"a.csv": "12"}}
+    text = component("provenance", made)
+    assert re.findall(r"<dt>(.*?)</dt>", text) == ["version", "seed of the reference", "a.csv"]
+    assert '<code class="sub">12</code>' in text
 
 
 def test_the_image_says_what_is_seen_and_the_data_cannot_end_the_script():
     text = figure("title", drawn(), "caption")
-    assert 'alt="settles at 51 s, ends at &quot;2&quot;"' in text
+    assert 'alt="settles at 51 s, ends at &#34;2&#34;"' in text
     assert text.count("</script>") == 1
     assert 'alt="title"' in figure("title", Drawing("<svg></svg>"), "")
-    assert "<script" not in page("t", figure("title", "<svg></svg>", ""))
+    assert "<script" not in page("{{ x }}", x=figure("title", "<svg></svg>", ""))
 
 
 def test_the_script_is_small_and_loads_nothing():
-    text = page("t", figure("title", drawn(), ""))
+    text = page("{{ x }}", x=figure("title", drawn(), ""))
     script = re.search(r"</main><script>(.*?)</script>", text, re.DOTALL)[1]
     assert len(script.splitlines()) < MOST_LINES
     assert not re.search(
@@ -109,7 +146,7 @@ def dom(path, text, action):
 @pytest.mark.skipif(BROWSER is None, reason="no chromium")
 def test_plots_of_one_clock_zoom_together_in_a_browser(tmp_path):
     other = figure("b", drawn("run"), "") + figure("c", drawn("second"), "")
-    text = page("t", figure("a", drawn(), "") + other)
+    text = page("{{ x }}", x=figure("a", drawn(), "") + other)
     key = (
         "document.querySelector('.panel svg').dispatchEvent(new KeyboardEvent('keydown', {key:"
         " '%s'}));"
