@@ -41,7 +41,7 @@ from bristle.harness.baseline.repeats import (
 )
 from bristle.harness.baseline.tube import SAFETY
 from bristle.harness.baseline.verdicts import Comparison
-from bristle.harness.cosim.ports import WHOLE_PARAMETERS
+from bristle.harness.cosim.ports import PLANT
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import scenario_files
 from bristle.harness.scenario.plan import Setup
@@ -145,7 +145,7 @@ def changed(setup: Setup) -> Iterator[tuple[str, Setup]]:
     others = set(plant.choices("law")) - {getattr(setup.scenario.plant, "law", None)}
     for name in plant.names("parameter"):
         idle = (
-            name in (*IDLE, *WHOLE_PARAMETERS["plant"])
+            name in (*IDLE, *PLANT.whole)
             or name.startswith("solver.")
             or name.partition(".")[0] in others
         )

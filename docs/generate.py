@@ -16,7 +16,7 @@ from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.fmus.conformance import BEHAVIOUR, POINTS
-from bristle.harness.cosim.ports import BUS_PORTS, FREE_INPUTS, NEEDED_PORTS
+from bristle.harness.cosim.ports import PORTS
 from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
 from bristle.harness.scenario.scenario import Scenario
 from bristle.model.declarations import ENTRY
@@ -255,8 +255,7 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         [n for n in known if n in names[k]]
         for k, known in (("laws", laws()), ("observers", methods()))
     )
-    free = ((part, name) for part, names in FREE_INPUTS.items() for name in names)
-    inputs = {name: (part, BUS_PORTS[part]["inputs"][name]) for part, name in free}
+    inputs = {n: (part, each.inputs[n]) for part, each in PORTS.items() for n in each.free}
     offered_effects = [name for name in effects(packages=False) if name in names["effects"]]
     choices = {
         ("Plant", "law"): offered_laws,
@@ -281,12 +280,11 @@ def _rows(meanings: Mapping[str, Sequence[str]]) -> list[str]:
 def _bus_rows() -> list[str]:
     """Return the rows of the table of what the FMUs exchange."""
     rows = []
-    for part, sides in BUS_PORTS.items():
-        for side, ports in sides.items():
-            for name, unit in ports.items():
-                needed = "yes" if name in NEEDED_PORTS[part] else ""
-                row = f"| `{name}` | {part} | {side[:-1]} | {unit} | {needed} |"
-                rows.append(row.replace("  |", " |"))
+    for part, ports in PORTS.items():
+        for name, unit in ports.units.items():
+            side = "input" if name in ports.inputs else "output"
+            needed = "yes" if name in ports.needed else ""
+            rows.append(f"| `{name}` | {part} | {side} | {unit} | {needed} |".replace("  |", " |"))
     return rows
 
 
