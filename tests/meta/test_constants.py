@@ -83,16 +83,21 @@ def rows(text):
     return [[cell.strip() for cell in row] for row in cells if re.search(r"[A-Z]{3}", row[0])]
 
 
-def test_every_number_of_the_diagnosis_has_a_line_on_its_origin():
-    """Of a constant that was calibrated, or follows from something: what was found; of any other,
-    that it was judged.
-    """
-    numbers = {
+def numbers_of_the_diagnosis():
+    """Return the constants of diagnosis/ that are numbers: name and expression."""
+    return {
         name.lstrip("_"): value
         for path in sorted((ROOT / "diagnosis").rglob("*.py"))
         for name, value in constants(path).items()
         if is_number(value)
     }
+
+
+def test_every_number_of_the_diagnosis_has_a_line_on_its_origin():
+    """Of a constant that was calibrated, or follows from something: what was found; of any other,
+    that it was judged.
+    """
+    numbers = numbers_of_the_diagnosis()
     assert len(numbers) > 100
     before, _, rest = CALIBRATION.partition(JUDGED)
     judged, _, after = rest.partition("\n## ")
