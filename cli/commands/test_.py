@@ -118,6 +118,10 @@ def suite(
     _print(tested, quiet, out)
     reports = {json: tree, junit: to_junit(tested)}
     replace_each({path: text for path, text in reports.items() if path is not None})
+    return _exit_code(tested)
+
+
+def _exit_code(tested: Sequence[CaseResult]) -> int:
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS
 
