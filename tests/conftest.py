@@ -18,6 +18,7 @@ from zlib import crc32
 import pytest
 
 from bristle.common.errors import BristleError
+from bristle.model.compiler import FLAGS_VARIABLE
 
 ONE_SLOW_IN = 4  # of the slow tests of a file, a share has one in so many
 SCENARIO = """
@@ -49,8 +50,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Choose the share once: the processes of pytest-xdist get it as an option."""
+    """Choose the share once: the processes of pytest-xdist get it as an option.
+
+    All is compiled in half the time, but for a run of all tests: the digits are the same, which a
+    test of the compiler asserts.
+    """
     option = config.option
+    if not option.all:
+        os.environ.setdefault(FLAGS_VARIABLE, "-O1")
     named = option.keyword or config.args_source is not pytest.Config.ArgsSource.TESTPATHS
     if option.share is None and not option.all and not named:
         option.share = _commit(config.rootpath)
