@@ -15,7 +15,7 @@ from standard_records import RECORD_PLANTS, RECORD_STEP, record
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.loop import Drive
+from bristle.harness.cosim.drive import Drive
 
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 2e-8, 1e-8, 1e-9)
 FINEST = 1e-12

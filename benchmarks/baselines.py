@@ -28,11 +28,9 @@ import numpy as np
 from shared import upper_bound, write_json
 
 from bristle.common.errors import BristleError
-from bristle.harness.baseline import Baseline, Signals, make_baseline, quantities_of
-from bristle.harness.catalogue import scenario_files
-from bristle.harness.comparison import Comparison, compare_sides
-from bristle.harness.plan import WHOLE_PARAMETERS, Setup
-from bristle.harness.repeats import (
+from bristle.harness.baseline.baseline import Baseline, Signals, make_baseline, quantities_of
+from bristle.harness.baseline.comparison import compare_sides
+from bristle.harness.baseline.repeats import (
     Repeat,
     Repeated,
     fused_flags,
@@ -41,9 +39,13 @@ from bristle.harness.repeats import (
     run_built,
     run_rounded,
 )
-from bristle.harness.run import check
-from bristle.harness.scenario import load
-from bristle.harness.tube import SAFETY
+from bristle.harness.baseline.tube import SAFETY
+from bristle.harness.baseline.verdicts import Comparison
+from bristle.harness.cosim.ports import WHOLE_PARAMETERS
+from bristle.harness.run.run import build_and_check
+from bristle.harness.scenario.catalogue import scenario_files
+from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.reading import load
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
 JOBS = 2  # processes
@@ -179,7 +181,7 @@ def try_scenario(name: str, path: Path) -> Tried:
     """Make the baseline of a scenario, and run it without and with changes."""
     begin, tried = time.perf_counter(), Tried()
     with tempfile.TemporaryDirectory() as folder:
-        checked = check(path, Path(folder))
+        checked = build_and_check(path, Path(folder))
         try:
             baseline = make_baseline(checked, ways=own_ways(checked.setup))
         except BristleError as error:

@@ -34,7 +34,7 @@ from bristle.cli import main as cli
 from bristle.common import work
 from bristle.common.output import check_writable
 from bristle.common.work import OLD
-from bristle.harness.store import Store
+from bristle.harness.sweep.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 # keys of results that no two calls have in common

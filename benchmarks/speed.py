@@ -26,7 +26,8 @@ from bristle.common.cache import cached, digest
 from bristle.fmus import obtain
 from bristle.fmus.controller.definition import program as controller_program
 from bristle.fmus.host import Fmu
-from bristle.harness.loop import Bus, Instance, Session
+from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.loop import Session
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.native import Native
 from bristle.model.program import Program

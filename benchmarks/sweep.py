@@ -29,16 +29,22 @@ import numpy as np
 from ratios import judge
 
 from bristle.fmus.calls import CONTROL_SIZE
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.design import Design, design
-from bristle.harness.kit import export
-from bristle.harness.loop import Bus, Slaves, simulate
-from bristle.harness.plan import find_fmus, identification, prepare
-from bristle.harness.run import Options
-from bristle.harness.scenario import load
-from bristle.harness.store import Store
-from bristle.harness.sweep import Means, Sweep, load_point, prepare_sweep, run_chunk, run_sweep
-from bristle.harness.together import Together
+from bristle.harness.cosim.bus import Bus
+from bristle.harness.cosim.loop import simulate
+from bristle.harness.cosim.node import Slaves
+from bristle.harness.exchange.kit import export
+from bristle.harness.run.checked import Options
+from bristle.harness.scenario.catalogue import find_scenario
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.plan import identification, prepare
+from bristle.harness.scenario.reading import load
+from bristle.harness.sweep.chunk import run_chunk
+from bristle.harness.sweep.design import Design, design
+from bristle.harness.sweep.executor import Means
+from bristle.harness.sweep.lanes import Together
+from bristle.harness.sweep.spec import Sweep, load_point, prepare_sweep
+from bristle.harness.sweep.store import Store
+from bristle.harness.sweep.sweep import run_sweep
 
 ROUNDS = 3
 FEW = 24  # runs of the slow ways
@@ -93,7 +99,7 @@ def lanes_over_fmus(name: str) -> tuple[float, float, float]:
             [f"plant.parameters.J={8e-4 + 5e-5 * k} kg.m2", *LANES_LENGTH],
             k + 1,
         )
-        setups.append(prepare(loaded, find_fmus(loaded)))
+        setups.append(prepare(loaded, build_fmus(loaded)))
     buses, together = [identification(setup) for setup in setups], Together(setups[0])
     by_lanes(buses, together)
     both = [
@@ -112,7 +118,7 @@ def swept(sweep: Sweep, asked: Design, means: Means) -> None:
 def by_fmpy(seed: int) -> None:
     """One run by FMPy's own calls: FMUs loaded, a loop in Python, all outputs read at each step."""
     loaded = load(find_scenario(Path("quick")), [], seed)
-    simulate(identification(prepare(loaded, find_fmus(loaded))), engine="fmpy")
+    simulate(identification(prepare(loaded, build_fmus(loaded))), engine="fmpy")
 
 
 def by_libcosim(package: str) -> None:
@@ -184,7 +190,7 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
     asked, some = (design([VARY], samples=count) for count in (runs, few))
     sweep = replace(prepare_sweep(path, asked, options), lanes=True)
     loaded = load_point(sweep, next(some.points()))
-    buses, together = buses_of(sweep, some), Together(prepare(loaded, find_fmus(loaded)))
+    buses, together = buses_of(sweep, some), Together(prepare(loaded, build_fmus(loaded)))
     ways: dict[str, tuple[int, Callable[[], Any]]] = {
         "loop over FMUs alone, one thread": (few, lambda: by_fmus(buses)),
         "loop in lanes alone, one thread": (few, lambda: by_lanes(buses, together)),

@@ -13,11 +13,15 @@ import tempfile
 import time
 from pathlib import Path
 
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.design import design
-from bristle.harness.run import Options
-from bristle.harness.store import Store
-from bristle.harness.sweep import CHUNK_RUNS, Means, packed, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.run.checked import Options
+from bristle.harness.scenario.catalogue import find_scenario
+from bristle.harness.sweep.chunk import run_chunk
+from bristle.harness.sweep.design import design
+from bristle.harness.sweep.executor import Means
+from bristle.harness.sweep.ship import packed
+from bristle.harness.sweep.spec import prepare_sweep
+from bristle.harness.sweep.store import Store
+from bristle.harness.sweep.sweep import CHUNK_RUNS, run_sweep
 
 VARY = "plant.parameters.J=uniform(0.0008, 0.0012) kg.m2"
 DURATION = "duration=10 s"

@@ -13,7 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bristle.harness.run import Options, run
+from bristle.harness.run.checked import Options
+from bristle.harness.run.run import run
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "lugre_original.toml"
 LARGEST_RATIO = 1 / 3

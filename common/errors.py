@@ -8,7 +8,8 @@
     │       ├── RestartError       an FMU cannot be started again from given states
     │       ├── IncompleteError    one of several outputs could not be made; the others were written
     │       ├── NotStaticError     the inverse dynamics need states that are not measured
-    │       ├── ScenarioError      bristle.harness.pytest_plugin: a scenario that pytest runs did not pass
+    │       ├── CasesError         bristle.harness.suite.suite: cases of a suite cannot be run, so none is
+    │       ├── ScenarioError      bristle.harness.suite.pytest_plugin: a scenario that pytest runs did not pass
     │       ├── NotApplicable      bristle.fmus.conformance.running: a point asks for what the FMU does not claim to do
     │       ├── CallFailed         bristle.fmus.conformance.instance: a call that the standard allows was not done
     │       └── Ended              bristle.fmus.conformance.instance: an FMU asks to end the simulation, as it may

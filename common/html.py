@@ -137,10 +137,11 @@ def page(title: str, body: str) -> str:
     """Return the self-contained page around `body`, its headings with links to themselves; `title`
     is plain text.
     """
-    style = (files("bristle.common") / "report.css").read_text(encoding="utf-8")
+    own = files("bristle.common.pages")
+    style = (own / "report.css").read_text(encoding="utf-8")
     script = ""
     if 'class="plot"' in body:
-        script = f"<script>{(files('bristle.common') / 'report.js').read_text(encoding='utf-8')}</script>"
+        script = f"<script>{(own / 'report.js').read_text(encoding='utf-8')}</script>"
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{escape(title)}</title><style>{style}</style></head>

@@ -22,6 +22,16 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.common.work import JOURNAL, OURS, lock, sweep, unlock, work_folder
 
+PAGE = "report.html"
+# file of numbers beside the page: command that writes both
+PAGE_COMMANDS = {
+    "result.json": "run",
+    "diagnosis.json": "diagnose",
+    "validation.json": "validate",
+    "coupling.json": "coupling",
+    "report.json": "report",
+    "reproduce.json": "reproduce",
+}
 NEW, BEFORE = "new", "old"  # in a work folder: what is to come, and what was there
 
 
@@ -71,13 +81,15 @@ def check_writable(out: Path) -> None:
 
 
 @contextmanager
-def output_folder(out: Path) -> Iterator[None]:
+def output_folder(out: Path, numbers: str = "") -> Iterator[None]:
     """Create the output folder and check that it is writable; if the work in the context fails,
-    remove it if it is empty.
+    remove it if it is empty. `numbers` as of `check_page`, for a command that writes a page.
     """
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         check_writable(out)
+        if numbers:
+            check_page(out, numbers)
         yield
     except BaseException:
         for folder in made:
@@ -103,6 +115,22 @@ def check_not_replaced(out: Path, names: Sequence[str], inputs: Iterable[Path]) 
             raise BristleError(
                 f"{path}: would be replaced by what is written into {out}; give another folder"
             )
+
+
+def check_page(out: Path, numbers: str) -> None:
+    """Raise `BristleError` if a folder holds the page of another command than the one that writes
+    `numbers`, a file of `PAGE_COMMANDS`, beside it.
+    """
+    others = [
+        command
+        for name, command in PAGE_COMMANDS.items()
+        if name != numbers and (out / name).is_file()
+    ]
+    if others and (out / PAGE).is_file():
+        raise BristleError(
+            f"{out}: '{PAGE}' in it is of bristle {' and '.join(others)}; give another folder, such"
+            f" as {out / PAGE_COMMANDS[numbers]}"
+        )
 
 
 def check_files_writable(files: Iterable[Path]) -> None:

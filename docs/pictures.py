@@ -135,7 +135,7 @@ def exchange() -> None:
     """
     from ecospy import EcosSimulation
 
-    from bristle.harness.kit import export
+    from bristle.harness.exchange.kit import export
 
     with tempfile.TemporaryDirectory() as out:
         package = export(ROOT / "scenarios" / "quick.toml", Path(out))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,12 +24,15 @@ from bristle.model.compiler import FLAGS, compiler_identity
 
 if TYPE_CHECKING:
     from bristle.model.program import Program
+    from bristle.model.variables import Parameter
 
 FMU_NAMES = ("plant", "observer", "controller")
 # name of the option that chooses one variant
 VARIANT_OPTION = {"plant": "law", "observer": "method"}
 # kind of parts that these options choose from
 VARIANT_KIND = {"plant": "laws", "observer": "observers"}
+# s that a processor of 2022 takes to compile what all FMUs have, and an instruction of equations
+SECONDS_OF_ANY, SECONDS_OF_INSTRUCTION = 1.0, 5e-4
 HASHED_PACKAGES = (
     "bristle.common",
     "bristle.model",
@@ -45,8 +49,7 @@ def _check(
     what: str,
     fmi: int,
     kind: str,
-    law: str | None,
-    method: str | None,
+    chosen: Mapping[str, str | None],
     effects: Sequence[str],
     platforms: str = "host",
 ) -> str | None:
@@ -66,14 +69,14 @@ def _check(
         raise BristleError(
             f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}"
         )
-    for name, value in (("law", law), ("method", method)):
+    for name, value in chosen.items():
         if value is not None and VARIANT_OPTION.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
     if isinstance(effects, str):
         raise BristleError(f"effects is the text '{effects}'; give a list of names: ['{effects}']")
     if effects and what != "plant":
         raise BristleError(f"the {what} has no effects to add ('{effects[0]}'); leave them out")
-    return law if what == "plant" else method
+    return chosen["law" if what == "plant" else "method"]
 
 
 def program_of(
@@ -162,9 +165,8 @@ def build(
     from bristle.fmus.pack import write_archive
     from bristle.fmus.related import related_files
 
-    program = program_of(
-        what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder
-    ).preset(parameters or {})
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects, platforms)
+    program = program_of(what, variant, effects, encoder).preset(parameters or {})
     declared = program if units is None else program.in_units(units)
     content = program_files(declared, fmi, kind, platforms)
     return write_archive(Path(out), {**content, **(related or related_files)(content)})
@@ -213,21 +215,50 @@ def _key(packages: Sequence[str | bytes], kind: str, *arguments: object) -> str:
     )
 
 
-def is_packaged(what: str, variant: str) -> bool:
-    """True if a law or method is of an installed package, and so in no FMU but one of it alone."""
-    if variant not in offered(VARIANT_KIND[what]):
-        return False
+def _own_variants(what: str) -> Collection[str]:
+    """Return the names of the laws or methods that the FMU of all has."""
     from bristle.observer import methods
     from bristle.plant.friction import laws
 
-    return variant not in (laws() if what == "plant" else methods())
+    return laws() if what == "plant" else methods()
+
+
+def variant_names(what: str) -> list[str]:
+    """Return the names of all laws or methods; those of installed packages are the last."""
+    return list(dict.fromkeys([*_own_variants(what), *offered(VARIANT_KIND[what])]))
+
+
+def is_packaged(what: str, variant: str) -> bool:
+    """True if a law or method is of an installed package, and so in no FMU but one of it alone."""
+    return variant in offered(VARIANT_KIND[what]) and variant not in _own_variants(what)
 
 
 def plugins_of(what: str) -> bool:
-    """True if plug-in folders have laws or methods: the FMU of all is compiled anew, for a minute,
-    after each change of one.
-    """
+    """True if plug-in folders have laws or methods."""
     return bool(plugin_files(VARIANT_KIND[what], ".py"))
+
+
+def readers(what: str, name: str) -> dict[str, Parameter]:
+    """Return the laws or methods, of those that the FMU of all has, that read a parameter, and how
+    each declares it.
+    """
+    own, owner = _own_variants(what), name.partition(".")[0]
+    # a name without an owner is read by all methods, or by several laws
+    some = [owner] if owner in own else own if what == "plant" else []
+    systems = [program_of(what, each).variants[0].system for each in some]
+    return {each.name: each.parameters[name] for each in systems if name in each.parameters}
+
+
+def compile_seconds(program: Program) -> float:
+    """Return about how long it takes to compile a program: its functions as far as there are cores
+    for them, no shorter than the longest of them, and what is the same in every FMU.
+    """
+    lengths = [
+        sum(f.n_instructions() for kernel in each.kept().values() for f, _ in kernel.blocks)
+        for each in program.variants
+    ]
+    work = max(max(lengths), sum(lengths) / (os.cpu_count() or 1))
+    return SECONDS_OF_ANY + SECONDS_OF_INSTRUCTION * work
 
 
 def nothing(_content: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -259,42 +290,25 @@ def obtain(
     BristleError
         As of `build`.
     """
-    variant = _check(what, fmi, kind, law, method, effects)
-    parts = [("effects", effect) for effect in sorted(effects)] + (
-        [(VARIANT_KIND[what], variant)] if variant else []
-    )
-    key = _key(
-        [code for part in parts for code in code_offered(*part)],
-        kind,
-        what,
-        fmi,
-        variant,
-        encoder,
-        *sorted(effects),
-        *sorted((parameters or {}).items()),
-    )
-    name = "-".join(
-        [what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]]
-    )
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects)
+    parts = [("effects", effect) for effect in sorted(effects)]
+    if variant:
+        parts.append((VARIANT_KIND[what], variant))
+    code = [text for part in parts for text in code_offered(*part)]
+    values = sorted((parameters or {}).items())
+    key = _key(code, kind, what, fmi, variant, encoder, *sorted(effects), *values)
+    which = [what, *([variant] if variant else []), *sorted(effects)]
+    name = "-".join([*which, f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
+        from bristle.fmus.pack import write_archive
+
+        program = program_of(what, variant, effects, encoder).preset(parameters or {})
         if kind == "native":
-            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
-            logging.getLogger("bristle").info(
-                "compiling an FMU (%s) once; later runs take it from the cache", which
-            )
-        build(
-            what,
-            out,
-            fmi=fmi,
-            kind=kind,
-            law=law,
-            method=method,
-            effects=effects,
-            encoder=encoder,
-            parameters=parameters,
-            related=nothing,
-        )
+            message = "compiling an FMU (%s) once, about %.0f s; later runs take it from the cache"
+            seconds = compile_seconds(program)
+            logging.getLogger("bristle").info(message, ", ".join(which), seconds)
+        write_archive(out, program_files(program, fmi, kind))
 
     return cached(f"{name}.fmu", make)
 

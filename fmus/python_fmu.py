@@ -49,7 +49,8 @@ import ctypes
 from {package} import slave, tables
 
 # pythonfmu 0.7 runs this file for every instance and then gives back one reference to its globals
-too many. ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+# too many.
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
 class {name}(slave.Slave):

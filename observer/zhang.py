@@ -26,6 +26,7 @@ SX = ca.SX
 CITATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
 ESTIMATES = units("sigma0", "sigma1", "sigma2", "c")
 ENTRIES = ESTIMATES | {"c_load": "1/s2"}  # c times the load torque over the inertia
+Memory = tuple[SX, SX, SX]  # x^, Ups, theta^
 ENTRY_SCALES = (1000.0, 1000.0, 1000.0, 100.0, 100.0)  # round numbers, not taken from a plant
 
 

@@ -129,9 +129,9 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import Options
-    from bristle.harness.run import run as run_scenario
+    from bristle.harness.run.checked import Options
+    from bristle.harness.run.run import run as run_scenario
+    from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
@@ -202,58 +202,51 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.design import SAMPLINGS, design
-    from bristle.harness.run import Options
-    from bristle.harness.store import Store
-    from bristle.harness.sweep import Means, prepare_sweep, run_sweep
-    from bristle.harness.values import seeds_of
+    from bristle.harness.run.checked import Options
+    from bristle.harness.scenario.catalogue import find_scenario
+    from bristle.harness.scenario.vary import seeds_of
+    from bristle.harness.sweep.design import SAMPLINGS, design
+    from bristle.harness.sweep.executor import Means
+    from bristle.harness.sweep.spec import prepare_sweep
+    from bristle.harness.sweep.store import Store
+    from bristle.harness.sweep.sweep import run_sweep
     from bristle.result import SweepResult
 
-    if not isinstance(vary or {}, Mapping):
+    specs = _overrides(_varied(vary or {}))
+    if not isinstance(seeds, Iterable):
+        raise BristleError(
+            f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'"
+        )
+    if isinstance(seeds, str):
+        wanted = seeds_of(seeds)
+    else:
+        wanted = [as_whole_number("seeds", seed) for seed in seeds]
+    number = None if samples is None else as_whole_number("samples", samples)
+    drawn = as_choice("sampling", sampling, SAMPLINGS)
+    asked = design(specs, wanted, number, drawn, as_whole_number("sampling_seed", sampling_seed))
+    store = Store(as_path("out", out))
+    path = find_scenario(as_path("scenario", scenario))
+    prepared = prepare_sweep(path, asked, Options(overrides=_overrides(overrides)))
+    threads = os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs)
+    means = Means(threads, cluster, bool(resume), "bristle.sweep")
+    found = run_sweep(prepared, asked, store, means)
+    return SweepResult(store.path, found.verdicts, found.kept)
+
+
+def _varied(vary: Mapping[str, str | Sequence[object]]) -> dict[str, str | list[object]]:
+    """Return the values of each key, as lists or texts."""
+    if not isinstance(vary, Mapping):
         raise BristleError(
             f'vary is a {type(vary).__name__}; give a dict such as {{"sensor": ["clean",'
             ' "encoder"]}'
         )
-    for path, spec in (vary or {}).items():
+    for path, spec in vary.items():
         if not isinstance(spec, str | Sequence):
             raise BristleError(
                 f"vary[{path!r}] is {spec!r}; give a list of values, or text such as"
                 " 'uniform(1, 2)'"
             )
-    if not isinstance(seeds, Iterable):
-        raise BristleError(
-            f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'"
-        )
-    specs = _overrides(
-        {path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()}
-    )
-    wanted = (
-        seeds_of(seeds)
-        if isinstance(seeds, str)
-        else [as_whole_number("seeds", seed) for seed in seeds]
-    )
-    asked = design(
-        specs,
-        wanted,
-        None if samples is None else as_whole_number("samples", samples),
-        as_choice("sampling", sampling, SAMPLINGS),
-        as_whole_number("sampling_seed", sampling_seed),
-    )
-    store = Store(as_path("out", out))
-    prepared = prepare_sweep(
-        find_scenario(as_path("scenario", scenario)),
-        asked,
-        Options(overrides=_overrides(overrides)),
-    )
-    means = Means(
-        os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs),
-        cluster,
-        bool(resume),
-        "bristle.sweep",
-    )
-    found = run_sweep(prepared, asked, store, means)
-    return SweepResult(store.path, found.verdicts, found.kept)
+    return {path: spec if isinstance(spec, str) else list(spec) for path, spec in vary.items()}
 
 
 def reproduce(
@@ -279,7 +272,7 @@ def reproduce(
     BristleError
         If an FMU cannot be built or the folder cannot be written. Nothing is written then.
     """
-    from bristle.harness.reproduce import reproduce as make
+    from bristle.harness.paper.reproduce import reproduce as make
     from bristle.result import Reproduction
 
     folder = as_path("out", out)
@@ -357,7 +350,7 @@ def build(
         If there is no such part, law, method, effect or platform, an effect cannot join the law,
         there is no compiler, or the folder cannot be written.
     """
-    from bristle.harness.catalogue import Choice, build_files
+    from bristle.harness.scenario.catalogue import Choice, build_files
 
     choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
     made = build_files(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-    from bristle.harness.store import Store
+    from bristle.harness.sweep.store import Store
 
 __all__ = ["Reproduction", "Result", "SweepResult"]
 
@@ -172,7 +172,7 @@ class Result(_Answer):
         from html import escape
 
         from bristle.common import html
-        from bristle.harness.metrics import SIGNS
+        from bristle.harness.metrics.checks import SIGNS
 
         shown = ("final", "sd", "true", "error_percent", "settling_s")
         estimates = [
@@ -278,7 +278,7 @@ class SweepResult:
         return cast("pd.DataFrame", self.table.to_pandas())
 
     def _store(self) -> Store:
-        from bristle.harness.store import Store
+        from bristle.harness.sweep.store import Store
 
         return Store(self.folder)
 
@@ -318,7 +318,7 @@ class Reproduction(_Answer):
         from html import escape
 
         from bristle.common import html
-        from bristle.harness.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         rows = [
             [
@@ -334,7 +334,7 @@ class Reproduction(_Answer):
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"
 
     def __str__(self) -> str:
-        from bristle.harness.reproduce import COMPARED
+        from bristle.harness.paper.schemes import COMPARED
 
         lines = [
             f"{self.verdict}; eq. (25), %",

@@ -194,21 +194,10 @@ def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     rest = np.abs(np.delete(d, jumps))
     if np.max(rest, initial=0.0) > 0.25 * span:
         return False
-    sizes = np.abs(
-        d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)])
-    )
-    full, turn = 2.0 * np.pi, float(np.median(sizes))
-    known = next(
-        (
-            size
-            for size in ((full, 360.0, 1.0) if not layout.linear else ())
-            if abs(turn - size) < 0.02 * size
-        ),
-        None,
-    )
-    counter = None if known else _counter(turn, resolution)
-    turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
-    sure = known == full or counter is not None
+    before, after = np.maximum(jumps - 1, 0), np.minimum(jumps + 1, len(d) - 1)
+    sizes = np.abs(d[jumps] - 0.5 * (d[before] + d[after]))
+    full = 2.0 * np.pi
+    turn, sure = _turn(float(np.median(sizes)), layout.linear, resolution)
     fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
     # a single jump of another size may be a lost reading
     if len(jumps) < 2 and not (fits and sure):
@@ -220,18 +209,26 @@ def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
         return False
     if not fits:
         return False
-    raw.y = raw.y + np.concatenate(
-        [[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))]
-    )
+    turns = np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0)
+    raw.y = raw.y + np.concatenate([[0.0], np.cumsum(turns)])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    doubt = (
-        f", but a turn has {full:.4g} rad: check [output] unit ('{layout.output.unit}') and scale"
-    )
-    raw.say(
-        f"position wraps by {turn:.6g} {layout.output_unit} {first};"
-        f" unwrapped{'' if layout.linear or sure else doubt}"
-    )
+    said = f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped"
+    if not (layout.linear or sure):
+        unit = layout.output.unit
+        said += f", but a turn has {full:.4g} rad: check [output] unit ('{unit}') and scale"
+    raw.say(said)
     return True
+
+
+def _turn(jump: float, linear: bool, resolution: float | None) -> tuple[float, bool]:
+    """Return the range that a jump is nearest to, and whether it is one that sensors have."""
+    turns = () if linear else (2.0 * np.pi, 360.0, 1.0)
+    for size in turns:
+        if abs(jump - size) < 0.02 * size:
+            return size, size == turns[0]
+    if (counter := _counter(jump, resolution)) is not None:
+        return counter, True
+    return resolution * round(jump / resolution) if resolution else jump, False
 
 
 def _counter(turn: float, resolution: float | None) -> float | None:

@@ -172,7 +172,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the figures out of the result folders of runs: drawing takes longer than a short run,
     and other tests look at them.
     """
-    monkeypatch.setattr("bristle.harness.figures.draw", lambda pictures: {})
+    monkeypatch.setattr("bristle.harness.run.figures.draw", lambda pictures: {})
 
 
 @pytest.fixture

@@ -33,7 +33,8 @@ from bristle.common.cache import cache_folder, digest
 from bristle.fmus import obtain
 from bristle.fmus.build import program_of
 from bristle.fmus.host import Fmu
-from bristle.harness.loop import Bus, Instance, Port, simulate
+from bristle.harness.cosim.bus import Bus, Instance, Port
+from bristle.harness.cosim.loop import simulate
 from bristle.model.normalised import OBSERVED
 from bristle.model.sources import fingerprint
 from bristle.observer import methods, observer_program

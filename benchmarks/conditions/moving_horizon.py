@@ -25,7 +25,7 @@ import numpy as np
 from condition_records import Array, Condition, Record
 
 from bristle.common.cache import cached, digest
-from bristle.harness.metrics import SETTLING_BAND, settling
+from bristle.harness.metrics.estimates import SETTLING_BAND, settling
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.native import Native
 from bristle.observer import kalman, observer_program

@@ -36,7 +36,7 @@ from shared import write_json
 
 from bristle.common.cache import cache_folder, digest
 from bristle.common.errors import SimulationError
-from bristle.harness.metrics import settling
+from bristle.harness.metrics.estimates import settling
 from bristle.model.native import Native
 from bristle.model.normalised import OBSERVED
 from bristle.model.sources import fingerprint

@@ -1,7 +1,7 @@
 """Output-error fits of lean models to a record, with exact derivatives: baselines, floor and
 information bound.
 
-The study's own, beside bristle.harness.fit, which fits FMUs by finite differences: hundreds of fits
+The study's own, beside bristle.harness.metrics.fit, which fits FMUs by finite differences: hundreds of fits
 have to be quick here.
 """
 

@@ -16,8 +16,13 @@ from standard_records import LOAD_CHANGE_TIME, RECORD_STEP, TRUE_PARAMETERS, cha
 
 from bristle.common.errors import SimulationError
 from bristle.common.metrics import mse_percent
-from bristle.harness.fit import Data, regression
-from bristle.harness.metrics import LOAD_PROPORTIONAL, SETTLING_BAND, error_percent, settling
+from bristle.harness.metrics.estimates import (
+    LOAD_PROPORTIONAL,
+    SETTLING_BAND,
+    error_percent,
+    settling,
+)
+from bristle.harness.metrics.fit import Data, regression
 from bristle.model.native import Native
 from bristle.model.variables import Parameter
 from bristle.observer import methods, observer_program

@@ -53,9 +53,10 @@ def accept(
     tolerances.
     """
     from bristle.common.output import output_folder
-    from bristle.harness.baseline import make_baseline, refuse_other, write_baseline
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import Options, check
+    from bristle.harness.baseline.baseline import make_baseline, refuse_other, write_baseline
+    from bristle.harness.run.checked import Options
+    from bristle.harness.run.run import build_and_check
+    from bristle.harness.scenario.catalogue import find_scenario
 
     refuse_duplicates(scenarios)
     options = Options(
@@ -66,7 +67,7 @@ def accept(
         checked = []
         for path in scenarios:
             refuse_other(out / path.stem)
-            checked.append(check(find_scenario(path), out, options, refuse=refuse_other))
+            checked.append(build_and_check(find_scenario(path), out, options, refuse=refuse_other))
         for each in checked:
             loaded = each.setup.loaded
             with fraction(loaded.name) as tell:

@@ -61,7 +61,7 @@ def build(
     debug: DebugOption = False,
 ) -> None:
     """Build FMUs."""
-    from bristle.harness.catalogue import Choice, build_files
+    from bristle.harness.scenario.catalogue import Choice, build_files
 
     added = tuple(name.strip() for names in effects or () for name in names.split(","))
     asked = Choice(law, method, added, encoder, platforms)

@@ -46,13 +46,8 @@ def compare(
     write FOLDER/compare.html.
     """
     from bristle.common.output import check_not_replaced, replace_file
-    from bristle.harness.comparison import (
-        compare_folders,
-        comparison_json,
-        counts,
-        differences,
-        write_comparison,
-    )
+    from bristle.harness.baseline.comparison import compare_folders, write_comparison
+    from bristle.harness.baseline.verdicts import comparison_json, counts, differences
 
     if json is not None:
         check_not_replaced(

@@ -42,9 +42,9 @@ def coupling(
     """Run a scenario with all FMUs at once and one after the other, and with smaller steps; compare
     signals and estimates.
     """
-    from bristle.harness import coupling as library
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import Options
+    from bristle.harness.coupling import coupling as library
+    from bristle.harness.run.checked import Options
+    from bristle.harness.scenario.catalogue import find_scenario
 
     with fraction("coupling") as tell:
         found = library.coupling(

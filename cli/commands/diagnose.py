@@ -90,7 +90,7 @@ def diagnose(
 
     options = search_options(jobs, budget)
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
-    with output_folder(out), fraction("diagnose") as tell:
+    with output_folder(out, "diagnosis.json"), fraction("diagnose") as tell:
         found = _diagnosed(model, fmu, data, tell, options, timeout)
         tell("writing", 1.0)
         problem = None

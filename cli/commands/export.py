@@ -45,9 +45,9 @@ def export(
     """Write FOLDER/SCENARIO.ssp with its FMUs, reference signals, verdict, and a page for who
     receives it.
     """
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.kit import export as write
-    from bristle.harness.run import Options
+    from bristle.harness.exchange.kit import export as write
+    from bristle.harness.run.checked import Options
+    from bristle.harness.scenario.catalogue import find_scenario
 
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed)
     with progress(scenario.stem) as tell:

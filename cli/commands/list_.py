@@ -17,7 +17,7 @@ def list_command() -> None:
     """List friction laws, observer methods, effects and scenarios, also those of plug-in folders
     and installed packages.
     """
-    from bristle.harness.catalogue import scenarios
+    from bristle.harness.scenario.catalogue import scenarios
     from bristle.observer import methods
     from bristle.plant.effects import effects
     from bristle.plant.friction import laws

@@ -39,7 +39,7 @@ def query(
     debug: DebugOption = False,
 ) -> int:
     """Print what an SQL query (of DuckDB) on the table `runs` gives: one row a run."""
-    from bristle.harness.store import Store
+    from bristle.harness.sweep.store import Store
 
     names, rows = Store(store).query(sql)
     if csv_:

@@ -23,11 +23,11 @@ def report(
     intervals, where runs fail.
     """
     from bristle.common.output import output_folder, replace_files, to_json
-    from bristle.harness.store import Store
-    from bristle.harness.sweep_report import Runs, render, summary
+    from bristle.harness.sweep.store import Store
+    from bristle.harness.sweep.sweep_page import Runs, render, summary
 
-    runs = Runs(Store(store))
-    with output_folder(out):
+    with output_folder(out, "report.json"):
+        runs = Runs(Store(store))
         content = {
             "report.html": render(runs).encode(),
             "report.json": to_json(summary(runs)).encode(),

@@ -32,7 +32,7 @@ def reproduce(
     """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer,
     on one page.
     """
-    from bristle.harness.reproduce import reproduce as make
+    from bristle.harness.paper.reproduce import reproduce as make
 
     with fraction("reproduce") as tell:
         content = make(out, tell)

@@ -30,7 +30,8 @@ from bristle.common.errors import BristleError
 REPLAYED = (".ssp", ".fmu", ".exp")
 
 if TYPE_CHECKING:
-    from bristle.harness.run import Checked, Options, Run
+    from bristle.harness.run.checked import Checked, Options
+    from bristle.harness.run.run import Run
 
 
 @app.command(short_help="Run scenarios, and compare estimates with true values.")
@@ -58,7 +59,7 @@ def run(
 ) -> None:
     """Run scenarios and write a result folder for each; no scenario runs before all are checked."""
     from bristle.common.output import output_folder
-    from bristle.harness.run import Options
+    from bristle.harness.run.checked import Options
 
     replays = [path for path in scenarios if path.suffix.lower() in REPLAYED]
     if fmu is not None and not any(path.suffix.lower() == ".exp" for path in replays):
@@ -95,7 +96,7 @@ def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, de
 
 
 def _package(path: Path, out: Path, timeout: float | None) -> int:
-    from bristle.harness.kit import replay
+    from bristle.harness.exchange.kit import replay
 
     with progress(path.stem) as tell:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
@@ -110,7 +111,7 @@ def _package(path: Path, out: Path, timeout: float | None) -> int:
 
 
 def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None) -> int:
-    from bristle.harness.experiment import repeat
+    from bristle.harness.exchange.experiment import repeat
 
     if path.suffix.lower() == ".fmu":
         fmu, source = path, None
@@ -133,12 +134,12 @@ def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None)
 
 def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:
     """Check a scenario; of one that cannot be run, print the error and return None."""
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.run import check
+    from bristle.harness.run.run import build_and_check
+    from bristle.harness.scenario.catalogue import find_scenario
 
     try:
         with progress(path.stem) as tell:
-            return check(find_scenario(path), out, options, tell)
+            return build_and_check(find_scenario(path), out, options, tell)
     except BristleError as error:
         complain(error, debug)
         return None
@@ -146,7 +147,7 @@ def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | 
 
 def _executed(checked: Checked, debug: bool) -> int:
     """Run a scenario, print its verdict or its error, and return the exit code."""
-    from bristle.harness.run import execute
+    from bristle.harness.run.run import execute
 
     try:
         with progress(checked.setup.loaded.name) as tell:

@@ -31,7 +31,7 @@ def schema(
 def schema_of(kind: FileKind) -> dict[str, Any]:
     """Return the JSON schema of a kind of file."""
     from bristle.diagnosis.modelfile import ModelTable
-    from bristle.harness.scenario import Scenario
+    from bristle.harness.scenario.scenario import Scenario
 
     found = (Scenario if kind is FileKind.scenario else ModelTable).model_json_schema()
     return {

@@ -84,12 +84,14 @@ def sweep(
 ) -> int:
     """Run a scenario with all values and seeds; what comes of each run is a row of STORE."""
     from bristle.common.output import output_folder
-    from bristle.harness.catalogue import find_scenario
-    from bristle.harness.design import design
-    from bristle.harness.run import Options
-    from bristle.harness.store import Store
-    from bristle.harness.sweep import Means, prepare_sweep, run_sweep
-    from bristle.harness.values import seeds_of
+    from bristle.harness.run.checked import Options
+    from bristle.harness.scenario.catalogue import find_scenario
+    from bristle.harness.scenario.vary import seeds_of
+    from bristle.harness.sweep.design import design
+    from bristle.harness.sweep.executor import Means
+    from bristle.harness.sweep.spec import prepare_sweep
+    from bristle.harness.sweep.store import Store
+    from bristle.harness.sweep.sweep import run_sweep
 
     asked = design(
         vary or (), () if seeds is None else seeds_of(seeds), samples, sampling.value, sampling_seed

@@ -28,7 +28,7 @@ from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
-    from bristle.harness.suite import CaseResult
+    from bristle.harness.suite.suite import CaseResult
 
 
 @app.command(
@@ -85,19 +85,19 @@ def suite(
         to_json,
     )
     from bristle.common.provenance import provenance
-    from bristle.harness.run import Options
-    from bristle.harness.suite import find_cases, run_suite
-    from bristle.harness.suite_report import junit as to_junit
-    from bristle.harness.suite_report import render, to_tree
-    from bristle.harness.values import seeds_of, values_of
+    from bristle.harness.run.checked import Options
+    from bristle.harness.scenario.vary import seeds_of, values_of
+    from bristle.harness.suite.suite import find_cases, run_suite
+    from bristle.harness.suite.suite_page import junit as to_junit
+    from bristle.harness.suite.suite_page import render, to_tree
 
-    cases = find_cases(
-        scenarios,
-        () if seeds is None else seeds_of(seeds),
-        [values_of(each) for each in vary or ()],
-        set_ or (),
-    )
+    asked = () if seeds is None else seeds_of(seeds)
+    varied = [values_of(each) for each in vary or ()]
     check_files_writable(file for file in (junit, json) if file is not None)
+    try:
+        cases = find_cases(scenarios, asked, varied, set_ or ())
+    except BristleError as error:
+        raise _not_run(error, junit, debug) from None
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
@@ -110,8 +110,7 @@ def suite(
                     lambda name, done, of: tell(name, done / of),
                 )
         except BristleError as error:
-            complain_each(error, debug)
-            raise typer.Exit(ERROR) from None
+            raise _not_run(error, junit, debug) from None
         origin = {**provenance(), "command": command_line()}
         tree = to_json(to_tree(tested, origin)).encode()
         content = {"suite.json": tree, "index.html": render(tested, origin).encode()}
@@ -123,12 +122,28 @@ def suite(
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS
 
 
+def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit:
+    """Print why nothing is run, also into the JUnit file; return what ends the command."""
+    from bristle.common.output import replace_each
+    from bristle.harness.suite import Case, CaseResult, CasesError
+    from bristle.harness.suite.suite_page import junit as to_junit
+
+    complain_each(error, debug)
+    if isinstance(error, CasesError):
+        tested, waiting = error.tested, error.waiting
+    else:
+        tested, waiting = [CaseResult(Case(Path("suite")), "error", message=str(error))], []
+    if junit is not None:
+        replace_each({junit: to_junit(tested, waiting)})
+    return typer.Exit(ERROR)
+
+
 def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:
     """Print a line a scenario, and what does not hold; with `quiet` only the latter, and the
     sum.
     """
-    from bristle.harness.suite import by_scenario
-    from bristle.harness.suite_report import failures
+    from bristle.harness.suite.suite import by_scenario
+    from bristle.harness.suite.suite_page import failures
 
     for path, runs in by_scenario(tested).items():
         passed = sum(each.verdict == "pass" for each in runs)

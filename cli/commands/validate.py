@@ -70,7 +70,7 @@ def validate(
             )
         fmu = model
     check_validation_places(out, [model, *data, *([] if fmu is None else [fmu])])
-    with output_folder(out), fraction("validate") as tell:
+    with output_folder(out, "validation.json"), fraction("validate") as tell:
         tell("reading", 0.0)
         known = diagnosis.fmu_model(model) if model == fmu else diagnosis.load_model(model)
         records = diagnosis.load_records(known, data)

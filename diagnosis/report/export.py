@@ -17,6 +17,7 @@ from bristle.common.errors import BristleError, IncompleteError
 from bristle.common.output import (
     check_no_folder,
     check_not_replaced,
+    check_page,
     check_writable,
     replace_files,
     to_json,
@@ -401,6 +402,7 @@ def write(
         )
     out = Path(out)
     check_writable(out)
+    check_page(out, "diagnosis.json")
     check_places(out)
     package = _package(diagnosis, choose, fmi, provenance() if made is None else made, fill)
     written = replace_files(out, package.content, WRITTEN_FILES)

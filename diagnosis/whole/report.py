@@ -13,6 +13,7 @@ from bristle.common.html import beside, figure, number, page, table, unit
 from bristle.common.output import (
     check_no_folder,
     check_not_replaced,
+    check_page,
     check_writable,
     replace_files,
     to_json,
@@ -50,6 +51,7 @@ def write_validation(
         If the folder cannot be written; it is then as it was.
     """
     check_writable(out)
+    check_page(out, "validation.json")
     check_no_folder(out, VALIDATION_FILES)
     made = provenance() if made is None else made
     content = {

@@ -173,7 +173,7 @@ EXPORT void lanes_initialise(Lanes *l, const double *values, double time, int n_
     check_finite(l);
 }
 
-/* As fmi2DoStep and fmi2GetReal, for harness/loop.c; a reference is place * LANES + lane. A lane fails by itself: never the call. */
+/* As fmi2DoStep and fmi2GetReal, for harness/cosim/loop.c; a reference is place * LANES + lane. A lane fails by itself: never the call. */
 EXPORT int lanes_step(Lanes *l, double time, double h, int again)
 {
     (void)again;

@@ -55,7 +55,7 @@ def attempt(job, library):
 def main():
     import bristle.cli.commands.diagnose as diagnose
     from bristle.diagnosis.report import export
-    from bristle.harness import figures
+    from bristle.harness.run import figures
 
     library = ctypes.CDLL(os.environ.pop("LD_PRELOAD"))
     figures.draw = lambda pictures: {}  # takes longer than a short run

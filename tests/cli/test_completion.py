@@ -21,7 +21,7 @@ from bristle.cli.completion import (
     complete_method,
     complete_scenario,
 )
-from bristle.harness.catalogue import find_scenario, scenarios
+from bristle.harness.scenario.catalogue import find_scenario, scenarios
 from bristle.observer import methods
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws

@@ -209,7 +209,7 @@ def test_what_the_system_refuses(
     def fail(*_arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("bristle.harness.catalogue.find_scenario", fail)
+    monkeypatch.setattr("bristle.harness.scenario.catalogue.find_scenario", fail)
     refused(call, "run", "case.toml", said=said.format(tempfile.gettempdir()))
 
 

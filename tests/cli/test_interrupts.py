@@ -41,7 +41,7 @@ COMMANDS = {
     "check": ["check", "a.fmu", "--json", "x"],
 }
 FIRST_USED = {
-    "schema": "bristle.harness.scenario",
+    "schema": "bristle.harness.scenario.scenario",
     "diff": "bristle.fmus.difference",
     "check": "bristle.fmus.conformance",
 }

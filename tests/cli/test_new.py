@@ -12,8 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from bristle.fmus import obtain
-
 NAMES = {"law": "fresh_law", "effect": "fresh_effect", "observer": "fresh_observer"}
 
 
@@ -183,8 +181,6 @@ def test_a_package_has_what_pip_and_a_reader_need(written):
 
 
 def test_a_new_scenario_runs_as_it_is(call, tmp_path, monkeypatch):
-    for what in ("plant", "observer", "controller"):
-        obtain(what)
     monkeypatch.chdir(tmp_path)
     code, said, _ = call("new", "scenario", "mine", "--out", "files")
     assert (code, said) == (0, "files/mine.toml  next: bristle run files/mine.toml --out out\n")

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import bristle
-from bristle.harness import reproduce as harness
+from bristle.harness.paper import reproduce as harness
 
 ROOT = Path(__file__).resolve().parents[2]
 

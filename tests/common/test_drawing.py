@@ -11,7 +11,7 @@ import pytest
 from bristle.common.drawing import FAILED, INK, LIMIT, ROLES, STYLE
 from bristle.common.time_plot import extremes
 
-CSS = (files("bristle.common") / "report.css").read_text(encoding="utf-8")
+CSS = (files("bristle.common.pages") / "report.css").read_text(encoding="utf-8")
 WHITE = "#ffffff"
 LEAST_TEXT, LEAST_LINE = 4.5, 3.0  # WCAG 2.2, 1.4.3 and 1.4.11
 

@@ -16,7 +16,16 @@ import pytest
 
 from bristle.common import output
 from bristle.common.errors import BristleError
-from bristle.common.output import check_writable, replace_each, replace_file, replace_files
+from bristle.common.output import (
+    PAGE,
+    PAGE_COMMANDS,
+    check_page,
+    check_writable,
+    output_folder,
+    replace_each,
+    replace_file,
+    replace_files,
+)
 from bristle.common.work import JOURNAL, OLD, TemporaryFolder, lock, sweep, unlock
 
 OLDER = {"a": "old", "b": "old", "gone": "old", "thesis.txt": "precious"}
@@ -189,3 +198,24 @@ def test_the_journal_says_what_comes_and_what_goes(
     monkeypatch.setattr(output, "_forward", look)
     replace_files(tmp_path, CONTENT, NAMES)
     assert seen == [{"new": ["a", "b", "sub/c"], "gone": ["gone"]}]
+
+
+@pytest.mark.parametrize("mine", PAGE_COMMANDS)
+def test_the_page_of_another_command_is_not_replaced(mine: str, tmp_path: Path) -> None:
+    (tmp_path / PAGE).write_text("old")
+    check_page(tmp_path, mine)  # nobody's
+    (tmp_path / mine).write_text("{}")
+    check_page(tmp_path, mine)  # its own
+    for other, command in PAGE_COMMANDS.items():
+        if other == mine:
+            continue
+        (tmp_path / other).write_text("{}")
+        before = found(tmp_path)
+        with pytest.raises(BristleError) as raised, output_folder(tmp_path, mine):
+            (tmp_path / PAGE).write_text("new")
+        assert str(raised.value) == (
+            f"{tmp_path}: 'report.html' in it is of bristle {command}; give another folder, such as"
+            f" {tmp_path / PAGE_COMMANDS[mine]}"
+        )
+        assert found(tmp_path) == before
+        (tmp_path / other).unlink()

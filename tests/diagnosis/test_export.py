@@ -340,7 +340,8 @@ max_abs = 15.0
 def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(
     answer, fabricated, tmp_path: Path
 ):
-    from bristle.harness.run import Options, run
+    from bristle.harness.run.checked import Options
+    from bristle.harness.run.run import run
 
     volts = fabricated.model(
         parameters={"J": 0.0012, "a2": 0.001, "b": 0.006, "Fc": 0.003},

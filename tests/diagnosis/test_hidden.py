@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import load_model, load_records
-from bristle.harness.catalogue import scenarios
+from bristle.harness.scenario.catalogue import scenarios
 from bristle.plant.effects import effects
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,8 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu, Slave
-from bristle.harness.loop import Bus, Instance, simulate
+from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.loop import simulate
 from bristle.observer import methods
 
 HERE = Path(__file__).parent

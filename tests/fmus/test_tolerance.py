@@ -5,7 +5,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.loop import Drive
+from bristle.harness.cosim.drive import Drive
 
 
 @pytest.mark.parametrize("law", ["modified", "lugre", "gms"])

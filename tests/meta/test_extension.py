@@ -16,9 +16,9 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.common.plugins import PLUGINS_VARIABLE, plugin_folders
-from bristle.harness.catalogue import scenarios
-from bristle.harness.plan import find_fmus
-from bristle.harness.scenario import load
+from bristle.harness.scenario.catalogue import scenarios
+from bristle.harness.scenario.parts import build_fmus
+from bristle.harness.scenario.reading import load
 from bristle.observer import methods, observer_program
 from bristle.plant import effects as effect_package
 from bristle.plant.effects import effects
@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
 CONSOLES = re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+LAW_FILE = "my_models/laws/lorentzian.py"
 ADDED = ("lorentzian", "cubic_damper", "projection")
 FOLDERS = {
     "laws": "plant/friction",
@@ -110,6 +111,20 @@ def test_the_tests_of_the_catalogue_pass_with_the_files(written, files, wanted):
     assert re.search(r"\d+ passed|100%", printed), printed
 
 
+def test_the_tests_of_declarations_pass_with_a_source_of_the_folder(written, tmp_path):
+    (tmp_path / "laws").mkdir()
+    text = (written / LAW_FILE).read_text(encoding="utf-8")
+    assert text.count("armstrong1994") >= 3  # of the law, of its parameters, of the equation
+    ours = text.replace("armstrong1994", "rig2026")
+    (tmp_path / "laws" / "lorentzian.py").write_text(ours, encoding="utf-8")
+    entry = "@misc{rig2026,\n  author = {A Lab},\n  title = {A rig},\n  year = {2026},\n}\n"
+    (tmp_path / "references.bib").write_text(entry, encoding="utf-8")
+    command = "python -m pytest -q -n 0 -p no:cacheprovider tests/meta/test_declarations.py"
+    wanted = "'declared_in_full or every_law or sources or references'"
+    printed = shell(f"{command} -k {wanted}", ROOT, **{PLUGINS_VARIABLE: str(tmp_path)})
+    assert "100%" in printed, printed
+
+
 @pytest.fixture(scope="module")
 def copied(written: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A copy of the source tree with the files in its own folders, and a folder from which it
@@ -180,7 +195,7 @@ def test_a_scenario_takes_the_fmu_of_a_plugin_alone(written, monkeypatch):
     the file.
     """
     monkeypatch.setenv(PLUGINS_VARIABLE, str(written / "my_models"))
-    fmus = find_fmus(load(written / "my_models" / "scenarios" / "lorentzian.toml"))
+    fmus = build_fmus(load(written / "my_models" / "scenarios" / "lorentzian.toml"))
     assert "projection" in fmus["observer"].path.name
     assert "lorentzian" in fmus["plant"].path.name
     assert fmus["observer"].choices("method") == fmus["plant"].choices("law") == {}

@@ -160,9 +160,11 @@ def test_every_module_of_the_wheel_imports_from_the_wheel(wheel, tmp_path):
     ]
     assert len(modules) > 30
     code = f"""
-import importlib, sys sys.meta_path[:] = [f for f in sys.meta_path if "__editable__" not in
-getattr(f, "__module__", "") + repr(f)] sys.path.insert(0, {str(tmp_path)!r}) for name in
-{sorted(modules)!r}:
+import importlib, sys
+known = {{f: getattr(f, "__module__", "") + repr(f) for f in sys.meta_path}}
+sys.meta_path[:] = [f for f in sys.meta_path if "__editable__" not in known[f]]
+sys.path.insert(0, {str(tmp_path)!r})
+for name in {sorted(modules)!r}:
     module = importlib.import_module(name)
     assert module.__file__.startswith({str(tmp_path)!r}), module.__file__
 """

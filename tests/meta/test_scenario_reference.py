@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from bristle.harness.metrics import CHECK_QUANTITIES, STATES
-from bristle.harness.plan import BUS_PORTS, FREE_INPUTS
-from bristle.harness.scenario import Scenario
+from bristle.harness.cosim.ports import BUS_PORTS, FREE_INPUTS
+from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
+from bristle.harness.scenario.scenario import Scenario
 from bristle.model.normalised import OBSERVED
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "scenario_reference.md").read_text(

@@ -11,7 +11,8 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.loop import Bus, Instance, simulate
+from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.loop import simulate
 from bristle.model.native import Native
 from bristle.observer import methods, observer_program
 

@@ -11,8 +11,9 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.fit import Data, LeanModel, fit
-from bristle.harness.loop import Bus, Instance, simulate
+from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.loop import simulate
+from bristle.harness.metrics.fit import Data, LeanModel, fit
 
 H, SECONDS = 1e-3, 40.0
 # N.m/rad, N.m, N.m, rad/s: a0 = 5 mrad, a1 = 4 mrad

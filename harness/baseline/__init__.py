@@ -1,0 +1,1 @@
+"""References of scenarios with measured tolerances, and comparisons with them."""

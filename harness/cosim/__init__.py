@@ -1,0 +1,1 @@
+"""Co-simulation of FMUs over a bus, in this process or in one of its own."""

@@ -1,0 +1,1 @@
+"""What the coupling of a scenario's FMUs costs."""

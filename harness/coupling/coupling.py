@@ -1,0 +1,290 @@
+"""What the coupling of a scenario's FMUs costs: orders of execution and communication steps against
+a refined one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bristle.common import pages
+from bristle.common.errors import BristleError
+from bristle.common.output import output_folder, replace_files, to_json
+from bristle.common.provenance import provenance
+from bristle.common.signals import Array
+from bristle.harness.cosim.bus import Bus, Trace
+from bristle.harness.cosim.isolate import run_bus
+from bristle.harness.run.checked import Options
+from bristle.harness.run.outcome import verdict
+from bristle.harness.run.run import build_and_check
+from bristle.harness.scenario.plan import Setup
+
+Told = Callable[[str, float], None]
+
+REFINED = 16  # steps of the reference in one of the scenario
+DIVISIONS = (1, 2, 4)  # of the step, with all FMUs at once
+# One FMU after the other. In the first order both that are sampled read the bus at t_k, then the
+# plant moves on: with small steps it is plant and sampled controller in one model.
+ORDERS = (
+    ("controller", "observer", "plant"),
+    ("controller", "plant", "observer"),
+    ("plant", "controller", "observer"),
+)
+APPLIED = ("plant", "u")  # the input that acts on the plant, recorded beside the outputs
+SHIFT_ROUNDS = 8  # Newton steps of a delay
+ESTIMATED_STATES = ("theta", "v", "w", "F")  # which an observer estimates beside parameters
+LEAST_ERROR = 1e-12  # of the size of a signal: errors below it are rounding, and show no order
+
+
+@dataclass(frozen=True)
+class Error:
+    """How far a signal is from the refined run: rms and largest error in its unit, rms over its
+    rms, and delay [s].
+    """
+
+    rms: float
+    largest: float
+    relative: float
+    delay: float | None
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A way to couple the FMUs, and what it gives: the verdict of the scenario, errors and final
+    estimates by name.
+    """
+
+    name: str
+    verdict: str
+    errors: Mapping[str, Error]
+    estimates: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """All schemes, verdict and estimates of the refined run, and by signal the order at which its
+    error falls with the step.
+    """
+
+    scenario: str
+    step: float
+    verdict: str
+    schemes: tuple[Scheme, ...]
+    refined: Mapping[str, float]
+    orders: Mapping[str, float | None]
+    notes: tuple[str, ...] = ()
+
+
+def coupling(
+    path: Path, out: Path, options: Options | None = None, progress: Told | None = None
+) -> Coupling:
+    """Run a scenario in several couplings, and write `out/coupling.json` and `out/report.html`.
+
+    Parameters
+    ----------
+    path : Path
+        The scenario file, with a [plant].
+    out : Path
+        The folder.
+    options : Options, optional
+        As of `bristle.run`.
+    progress : function, optional
+        Called with what runs next and the share that is done.
+
+    Raises
+    ------
+    BristleError
+        One line; nothing is written then.
+    """
+    with output_folder(out, "coupling.json"):
+        checked = build_and_check(path, out, options)
+        setup = checked.setup
+        if setup.samples is not None:
+            raise setup.loaded.error(
+                "record", None, "a measured record couples nothing; give a scenario with a [plant]"
+            )
+        found = compare(setup, checked.bus, progress or (lambda name, share: None))
+        files = {"coupling.json": _json(found), "report.html": _page(found)}
+        replace_files(out, files, list(files))
+    return found
+
+
+def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
+    """Run a bus in all couplings."""
+    scenario, bus = setup.loaded.name, replace(bus, record=(*bus.record, APPLIED))
+    units = [each.name for each in bus.instances]
+    orders = list(dict.fromkeys(tuple(u for u in order if u in units) for order in ORDERS))
+    divided = {parts: f"all at once, step {bus.h / parts:g} s" for parts in DIVISIONS}
+    notes: tuple[str, ...] = ()
+    ways = {
+        f"{' - '.join(orders[0])}, step {bus.h / REFINED:g} s": partial(
+            coupled, bus, REFINED, orders[0]
+        )
+    }
+    ways |= {name: partial(coupled, bus, parts) for parts, name in divided.items()}
+    ways |= {
+        f"{' - '.join(order)}, step {bus.h:g} s": partial(coupled, bus, 1, order)
+        for order in orders
+    }
+    traces: dict[str, Trace] = {}
+    for k, (name, run) in enumerate(ways.items()):
+        progress(name, k / len(ways))
+        traces[name] = run()
+        if traces[name].failure is not None and k == 0:
+            raise BristleError(
+                f"{scenario}: with a step of {bus.h / REFINED:g} s the run ends early, so nothing"
+                " can be compared with it"
+            )
+        if traces[name].failure is not None:
+            notes = (
+                *notes,
+                f"{name}: the run ended early, at {traces[name].steps * bus.h:g} s; it is left out",
+            )
+            del traces[name]
+    best, *others = traces
+    rows = min(len(trace.values) for trace in traces.values())
+    schemes = tuple(
+        _scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows)
+        for name in others
+    )
+    found = {scheme.name: scheme for scheme in schemes}
+    orders_of = _orders([found[name] for name in divided.values() if name in found])
+    return Coupling(
+        scenario,
+        bus.h,
+        _judged(setup, traces[best]),
+        schemes,
+        _estimates(traces[best], rows),
+        orders_of,
+        notes,
+    )
+
+
+def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:
+    """Run a bus with its step divided into parts; sampled FMUs keep their sample time.
+
+    All FMUs at once (Jacobi), or in an order of their names, each with what those before it have
+    just published (Gauss-Seidel).
+    """
+    units = {each.name: each for each in bus.instances}
+    instances = tuple(units[name] for name in order) or bus.instances
+    return run_bus(replace(bus, instances=instances, split=parts, sequential=bool(order)))
+
+
+def delay(signal: Array, reference: Array, h: float) -> float | None:
+    """Return by how much a signal lags behind a reference [s], both at equal steps h; None where
+    that says nothing.
+    """
+    t, shift = h * np.arange(len(reference)), 0.0
+    if np.ptp(reference) == 0:
+        return None
+    for _ in range(SHIFT_ROUNDS):
+        moved = np.interp(t - shift, t, reference)
+        slope = np.gradient(moved, h)
+        step = -float((signal - moved) @ slope) / float(slope @ slope)
+        shift += step
+        if abs(shift) > 0.1 * t[-1]:
+            return None
+        if abs(step) < 1e-9 * h:
+            break
+    return shift
+
+
+def _judged(setup: Setup, trace: Trace) -> str:
+    """Return the verdict; the input that acts on the plant is no signal of a result."""
+    return verdict(
+        setup, Trace(trace.record[:-1], trace.values[:, :-1], trace.h, trace.flags, trace.failure)
+    )
+
+
+def _scheme(name: str, verdict: str, trace: Trace, best: Trace, rows: int) -> Scheme:
+    errors = {}
+    for unit, variable in trace.record:
+        exact, got = best[unit, variable][:rows], trace[unit, variable][:rows]
+        # row k + 1 is what acts from t_k to t_k+1, the others are the bus at t_k
+        if (unit, variable) == APPLIED:
+            exact, got = exact[1:], got[1:]
+        # what an observer says of itself is no signal of the loop
+        if unit == "observer" or not np.ptp(exact):
+            continue
+        difference, size = got - exact, float(np.sqrt(np.mean(exact**2)))
+        rms = float(np.sqrt(np.mean(difference**2)))
+        errors[f"{unit}.{variable}"] = Error(
+            rms, float(np.abs(difference).max()), rms / size, delay(got, exact, trace.h)
+        )
+    return Scheme(name, verdict, errors, _estimates(trace, rows))
+
+
+def _estimates(trace: Trace, rows: int) -> dict[str, float]:
+    """Return the estimates of parameters at the end; those that the method does not give are 0, and
+    left out.
+    """
+    hats = {
+        name.removesuffix("_hat"): float(trace[unit, name][rows - 1])
+        for unit, name in trace.record
+        if name.endswith("_hat")
+    }
+    return {name: value for name, value in hats.items() if value and name not in ESTIMATED_STATES}
+
+
+def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
+    """Return by signal the power of the step with which its error falls, from the whole step to the
+    smallest.
+
+    Nothing is said where a run with one of these steps was left out.
+    """
+    found: dict[str, float | None] = {}
+    for name in divisions[0].errors if len(divisions) == len(DIVISIONS) else ():
+        ends = [each.errors[name].rms for each in (divisions[0], divisions[-1])]
+        small = divisions[-1].errors[name].relative < LEAST_ERROR
+        found[name] = (
+            None if small else math.log(ends[0] / ends[1]) / math.log(DIVISIONS[-1] / DIVISIONS[0])
+        )
+    return found
+
+
+def _json(found: Coupling) -> bytes:
+    schemes = [
+        {
+            "name": s.name,
+            "verdict": s.verdict,
+            "signals": {k: vars(e) for k, e in s.errors.items()},
+            "estimates": dict(s.estimates),
+        }
+        for s in found.schemes
+    ]
+    content: dict[str, Any] = {
+        "scenario": found.scenario,
+        "step_s": found.step,
+        "schemes": schemes,
+        "orders": dict(found.orders),
+        "refined": {
+            "step_s": found.step / REFINED,
+            "verdict": found.verdict,
+            "estimates": dict(found.refined),
+        },
+        "notes": list(found.notes),
+        "provenance": provenance(),
+    }
+    return to_json(content).encode()
+
+
+def _page(found: Coupling) -> bytes:
+    known = list(found.refined)
+    ways = [
+        ("refined", found.verdict, found.refined),
+        *((each.name, each.verdict, each.estimates) for each in found.schemes),
+    ]
+    return pages.render(
+        "bristle.harness.coupling/report.html",
+        found=found,
+        refined_step=found.step / REFINED,
+        known=known,
+        ends=[(name, judged, [values.get(e) for e in known]) for name, judged, values in ways],
+    ).encode()

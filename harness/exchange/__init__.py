@@ -1,0 +1,1 @@
+"""Scenarios as packages for other laboratories, and runs of what comes from them."""

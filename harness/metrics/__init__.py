@@ -1,0 +1,1 @@
+"""The numbers of a run: errors of the estimates, behaviour of the plant, tracking, validation."""

@@ -1,0 +1,1 @@
+"""The paper's figures and numbers beside those of runs."""

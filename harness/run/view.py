@@ -1,0 +1,119 @@
+"""The signals of a run, whether simulated or recorded, and the truth where it is known."""
+
+from __future__ import annotations
+
+from bristle.harness.cosim.bus import Array, Trace
+from bristle.harness.metrics.estimates import (
+    courses,
+    element_distances,
+    estimates_state,
+    of_same_elements,
+    true_values,
+)
+from bristle.harness.scenario.plan import Setup
+
+
+class View:
+    """The signals of a run, whether simulated or recorded, and the truth where it is known."""
+
+    def __init__(self, setup: Setup, trace: Trace) -> None:
+        observer, rig = setup.fmus["observer"], setup.rig
+        units = {name: observer.unit(name) for unit, name in trace.record if unit == "observer"}
+        if setup.samples is not None:
+            trace = trace.from_first_sample(
+                {("observer", name): 1 / rig.worth(unit) for name, unit in units.items()}
+            )
+        self.trace, self.time, self.rig = trace, trace.time, rig
+        rows = len(trace.values)
+        self.signals: dict[str, Array] = {}
+        if setup.samples is not None:
+            s = setup.samples
+            self.signals = {"u": s.u[:rows], "theta": s.theta[:rows], "v": s.v[:rows]}
+            self.sensed = {"theta": s.theta[:rows], "v": s.v[:rows]}
+        else:
+            self.signals = {
+                name: trace[unit, name] for unit, name in trace.record if unit != "observer"
+            }
+            self.signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
+            self.sensed = {
+                key: trace["plant", port]
+                for key, port in zip(("theta", "v"), setup.sensor, strict=True)
+            }
+        self.observed = {
+            name: trace[unit, name] for unit, name in trace.record if unit == "observer"
+        }
+        self.estimated = {
+            name: self.observed[f"{name}_hat"]
+            for name in ("v", "F")
+            if estimates_state(trace, name)
+        }
+        self.true = {} if setup.samples is not None else self._true(setup)
+        self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
+        self.published = courses(trace, self.units)
+        self.friction = self._friction(setup)
+
+    def columns(self) -> dict[str, Array]:
+        """Return all signals at full rate, and for each estimate whether the observer calls it
+        valid.
+        """
+        return {
+            **self.signals,
+            **self.observed,
+            **{f"{name}_valid": course.valid for name, course in self.published.items()},
+        }
+
+    def column_units(self, setup: Setup) -> dict[str, str]:
+        """Return the unit of each of these signals."""
+        if setup.samples is not None:
+            own = {
+                "u": self.rig.unit("V"),
+                "theta": self.rig.unit("rad"),
+                "v": self.rig.unit("rad/s"),
+            }
+        else:
+            own = {
+                name: setup.fmus[unit].unit(name)
+                for unit, name in self.trace.record
+                if unit != "observer"
+            }
+            own |= {
+                each.variable: setup.fmus[each.unit].unit(each.variable) for each in setup.stimuli
+            }
+        observer = {
+            name: self.rig.unit(setup.fmus["observer"].unit(name)) for name in self.observed
+        }
+        return {**own, **observer, **{f"{name}_valid": "1" for name in self.published}}
+
+    def _true(self, setup: Setup) -> dict[str, Array]:
+        """Return the true parameters under the loads that act on the plant, and of the observer's
+        elements.
+        """
+        torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
+        load = 0.0 if torque is None or inertia is None else torque / inertia
+        found = true_values(self.trace, self.signals.get("load_scale", 1.0), load)
+        distances = [
+            element_distances(setup.fmus[unit], setup.values[unit])
+            for unit in ("plant", "observer")
+        ]
+        return of_same_elements(found, *distances)
+
+    @staticmethod
+    def _inertia(setup: Setup) -> float | None:
+        """Return J of the plant, where it says what it is."""
+        if setup.samples is not None or not setup.fmus["plant"].has("J", "parameter"):
+            return None
+        return float(setup.values["plant"].get("J", setup.fmus["plant"].start("J")))
+
+    def _friction(self, setup: Setup) -> Array | None:
+        """Return F/J of the plant, where the plant has both."""
+        inertia = self._inertia(setup)
+        return self.signals["F"] / inertia if inertia is not None and "F" in self.signals else None
+
+    def states(self) -> dict[str, Array]:
+        """Return the true states that an observer may estimate."""
+        if not self.true:
+            return {}
+        found = {"v": self.signals["v"]}
+        if self.friction is not None and "alpha2" in self.true:
+            found["w"] = self.friction - self.true["alpha2"] * self.signals["v"]
+        return found

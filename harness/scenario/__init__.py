@@ -1,0 +1,1 @@
+"""Scenario files, what they name, and what is co-simulated for them."""

@@ -1,0 +1,1 @@
+"""Many scenarios as tests, and their summary."""

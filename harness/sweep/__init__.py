@@ -1,0 +1,1 @@
+"""Many runs of one scenario with values that vary, and their store."""
