@@ -18,6 +18,7 @@ from zlib import crc32
 import pytest
 
 from bristle.common.errors import BristleError
+from bristle.model.compiler import FLAGS_VARIABLE
 
 ONE_SLOW_IN = 4  # of the slow tests of a file, a share has one in so many
 SCENARIO = """
@@ -45,12 +46,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--share", metavar="NAME", help="run the share of the sampled tests that NAME draws"
     )
+    group.addoption(
+        "--one-in", type=int, default=1, metavar="N", help="of a share's other tests, run one in N"
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Choose the share once: the processes of pytest-xdist get it as an option."""
+    """Choose the share once: the processes of pytest-xdist get it as an option.
+
+    All is compiled in half the time, but for a run of all tests: the digits are the same, which a
+    test of the compiler asserts.
+    """
     option = config.option
+    if not option.all:
+        os.environ.setdefault(FLAGS_VARIABLE, "-O1")
     named = option.keyword or config.args_source is not pytest.Config.ArgsSource.TESTPATHS
     if option.share is None and not option.all and not named:
         option.share = _commit(config.rootpath)
@@ -82,7 +92,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     then most tests: no process is left with a long one at the end.
     """
     if config.option.share is not None:
-        left_out = _left_out(items, config.option.share)
+        left_out = _left_out(items, config.option.share, config.option.one_in)
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
@@ -90,22 +100,24 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: (-slow[item.path], -number[item.path]))
 
 
-def _left_out(items: list[pytest.Item], share: str) -> set[pytest.Item]:
+def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.Item]:
     """Return the tests that are not in a share.
 
-    Of the sets of a test with `sampled(n)`, and of the slow tests of a file, one in n is: those
-    whose place has one remainder, which the share and the name of the group draw.
+    Of the sets of a test with `sampled(n)`, and of the slow and the other tests of a file, one in
+    so many is: those whose place has one remainder, which the share and the name of the group draw.
     """
     groups: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
+        file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
         if sampled := item.get_closest_marker("sampled"):
-            groups.setdefault((item.nodeid.partition("[")[0], sampled.args[0]), []).append(item)
-        elif item.get_closest_marker("slow"):
-            groups.setdefault((item.nodeid.partition("::")[0], ONE_SLOW_IN), []).append(item)
+            group = (test, sampled.args[0] * one_in)
+        else:
+            group = (file, ONE_SLOW_IN if item.get_closest_marker("slow") else one_in)
+        groups.setdefault(group, []).append(item)
     left_out = set()
-    for (name, n), group in groups.items():
-        drawn = crc32(f"{share} {name}".encode()) % min(n, len(group))
-        left_out.update(item for k, item in enumerate(group) if k % n != drawn)
+    for (name, n), group_items in groups.items():
+        drawn = crc32(f"{share} {name}".encode()) % min(n, len(group_items))
+        left_out.update(item for k, item in enumerate(group_items) if k % n != drawn)
     return left_out
 
 
