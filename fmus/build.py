@@ -258,19 +258,28 @@ def obtain(
         As of `build`.
     """
     variant = _check(what, fmi, kind, {"law": law, "method": method}, effects)
-    parts = [("effects", effect) for effect in sorted(effects)]
-    if variant:
-        parts.append((VARIANT_KIND[what], variant))
-    code = [text for part in parts for text in code_offered(*part)]
-    values = sorted((parameters or {}).items())
-    key = _key(code, kind, what, fmi, variant, encoder, *sorted(effects), *values)
-    which = [what, *([variant] if variant else []), *sorted(effects)]
-    name = "-".join([*which, f"fmi{fmi}", kind, key[:24]])
+    parts = [("effects", effect) for effect in sorted(effects)] + (
+        [(VARIANT_KIND[what], variant)] if variant else []
+    )
+    key = _key(
+        [code for part in parts for code in code_offered(*part)],
+        kind,
+        what,
+        fmi,
+        variant,
+        encoder,
+        *sorted(effects),
+        *sorted((parameters or {}).items()),
+    )
+    name = "-".join(
+        [what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]]
+    )
 
     def make(out: Path) -> None:
         if kind == "native":
+            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
             logging.getLogger("bristle").info(
-                "compiling an FMU (%s) once; later runs take it from the cache", ", ".join(which)
+                "compiling an FMU (%s) once; later runs take it from the cache", which
             )
         build(
             what,
