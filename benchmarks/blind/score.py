@@ -423,14 +423,14 @@ def _quality(cases: list[Judged]) -> list[Figure]:
     failed = (c.result["verdict"] == "error" for c in cases)
     return [
         _number("shrink when right, median", shrink, np.median, ">= 0.98", lambda x: x >= 0.98),
-        *_parameters(c for c in cases if c.group == "same"),
+        *_own_form(c for c in cases if c.group == "same"),
         _number("seconds of one core a case, median", seconds, np.median, "reported", None),
         _number("seconds of one core a case, longest", seconds, max, "<= 10", lambda x: x <= 10),
         _at_most("cases that ended in an error", failed, 0.0),
     ]
 
 
-def _parameters(same: Iterable[Judged]) -> list[Figure]:
+def _own_form(same: Iterable[Judged]) -> list[Figure]:
     rows = parameter_rows(same)
     errors = [error for _, error, _ in rows]
     half, most = "parameter error, own form, median", "parameter error, own form, 90th percentile"
