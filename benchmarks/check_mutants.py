@@ -45,8 +45,8 @@ SERIOUS = (
 OWN = Path(__file__).with_name("check_own.toml")
 HEAD = """# What `bristle check` finds
 
-Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points. Made by
-`python benchmarks/check_mutants.py > benchmarks/results/check_mutants.md`
+Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points.
+Made by `python benchmarks/check_mutants.py > benchmarks/results/check_mutants.md`
 """
 
 Row = tuple[str, str, set[str]]  # defect, point made for it, points that find it
@@ -167,8 +167,8 @@ def print_counts(rows: Sequence[Row], own: Sequence[OwnRow]) -> None:
     caught = sum(point in found for _, point, found in rows)
     points = {point for _, point, found in rows if point in found}
     by_any, seen = sum(bool(found) for *_, found in rows), sum(bool(found) for _, found in own)
-    print(f"""{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect \
-that is made for them.
+    count = len(POINTS) + len(BEHAVIOUR)
+    print(f"""{count} points, {len(points)} of them seen to fail on a defect that is made for them.
 {len(rows)} defects, {caught} found by the point made for them, {by_any} by any.
 
 {len(own)} defects in our own FMU, {seen} found by any.

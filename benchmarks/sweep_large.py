@@ -118,7 +118,7 @@ def on_paper(m: Measured) -> str:
     chunks, tasks = MANY / CHUNK_RUNS, WORKERS * m.rate / CHUNK_RUNS
     first = "it is enough" if tasks < 1 / m.write else "this breaks first"
     hours, minutes = MANY / m.rate / 3600, MANY / m.rate / WORKERS / 60
-    rows, looking = tasks * m.message / 1e6, m.scan / m.kept * MANY
+    rows, looking, busy = tasks * m.message / 1e6, m.scan / m.kept * MANY, tasks * m.write
     return f"""
 ## A million runs on {WORKERS} workers of one core, on paper
 
@@ -130,7 +130,7 @@ def on_paper(m: Measured) -> str:
 - {tasks:.1f} tasks a second, of about {SCHEDULER:.0f} that a scheduler can hand out, with
   {rows:.1f} MB of rows a second.
 - One process takes the rows and writes them, {1 / m.write:.0f} chunks a second: {first}
-  ({100 * tasks * m.write:.0f} % busy; the limit would be {WORKERS / (tasks * m.write):.0f} workers).
+  ({100 * busy:.0f} % busy; the limit would be {WORKERS / busy:.0f} workers).
 - That process keeps the drawn values of all runs in memory, and with --resume the keys of those
   that are there: about 0.3 kB a run, 0.3 GB for a million."""
 

@@ -140,7 +140,8 @@ def page(title: str, body: str) -> str:
     style = (files("bristle.common") / "report.css").read_text(encoding="utf-8")
     script = ""
     if 'class="plot"' in body:
-        script = f"<script>{(files('bristle.common') / 'report.js').read_text(encoding='utf-8')}</script>"
+        code = (files("bristle.common") / "report.js").read_text(encoding="utf-8")
+        script = f"<script>{code}</script>"
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{escape(title)}</title><style>{style}</style></head>

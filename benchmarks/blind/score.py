@@ -547,12 +547,14 @@ def _draws(cases: list[Judged]) -> list[str]:
     return _table(["drawn in vain", "times"], rejected.most_common())
 
 
-NOTE = """Class named right: verdict "named" and exactly the classes of the truth. Bounds are one-sided 95 % Clopper-Pearson
-bounds: upper for failures, lower for successes. A smaller run is allowed failures in proportion, rounded down. Errors of
-parameters are relative; of angles in turns, of a stop's place in rad, of an onset in s; (A, phi) and (-A, phi + pi) are
-one; a parameter that is not reported, such as a second stop that was not found, has none. The gap ratio is the truth's own,
-see benchmarks/blind/gap.py. Of the other forms some are within what a parameter of the catalogue's form can do (a second
-harmonic, a power, a settling drift: see `TAKEN` in benchmarks/blind/forms.py).
+NOTE = """Class named right: verdict "named" and exactly the classes of the truth. Bounds are
+one-sided 95 % Clopper-Pearson bounds: upper for failures, lower for successes. A smaller run is
+allowed failures in proportion, rounded down. Errors of parameters are relative; of angles in turns,
+of a stop's place in rad, of an onset in s; (A, phi) and (-A, phi + pi) are one; a parameter that is
+not reported, such as a second stop that was not found, has none. The gap ratio is the truth's own,
+see benchmarks/blind/gap.py. Of the other forms some are within what a parameter of the catalogue's
+form can do (a second harmonic, a power, a settling drift: see `TAKEN` in
+benchmarks/blind/forms.py).
 """
 
 

@@ -418,25 +418,29 @@ def figure_floor(results: Results, out: Path) -> None:
 
 STUDY_INTRODUCTION = f"""# Observers compared
 
-{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop records of {LAST_CHECK} s under
-the reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference; the best one on as
-many again, with the seeds that follow), from clean signals and from the encoder (40 000 counts a turn; velocity: differences of
-counts).
-Methods that take alpha2 and b as known get the true ones. Each cell: median / worst record, of the worst of the parameters;
-"never": not by the end, or no number; "failed": runs that ended early. An even number of records has the larger of the two in the
-middle as its median. Plants S, R: the modified law, parameters known. L0, L1: original LuGre without and with
-bristle damping; GMS: four Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a second
-record, over the best-fit floor: what a fit of the modified law with tau (7 parameters) to 60 s of the clean velocity reaches (an
-estimate from a longer record may reach less). An observer is judged by the richest model that its outputs determine: the
-modified law, viscous + Coulomb, or viscous. The original law, which `cao` identifies, and elements side by side are not among them:
+{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop
+records of {LAST_CHECK} s under the reference controller, on {{n}} records of each plant (seeds 1 to
+{{seeds}}, both orders of the reference; the best one on as many again, with the seeds that follow),
+from clean signals and from the encoder (40 000 counts a turn; velocity: differences of counts).
+Methods that take alpha2 and b as known get the true ones. Each cell: median / worst record, of the
+worst of the parameters; "never": not by the end, or no number; "failed": runs that ended early. An
+even number of records has the larger of the two in the middle as its median. Plants S, R: the
+modified law, parameters known. L0, L1: original LuGre without and with bristle damping; GMS: four
+Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a
+second record, over the best-fit floor: what a fit of the modified law with tau (7 parameters) to 60
+s of the clean velocity reaches (an estimate from a longer record may reach less). An observer is
+judged by the richest model that its outputs determine: the modified law, viscous + Coulomb, or
+viscous. The original law, which `cao` identifies, and elements side by side are not among them:
 those two are judged by their Coulomb friction here, and docs/mathematics.md says what they reach.
 """
 
 
-ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one length and one stiffness of the
-bristles; encoder: 1 um. Its own start values are given to the methods that have starts, the true alpha2 and b to those that take
-them as known; a millimetre stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000 mm/s
-are reached, at which the presliding distance is passed fifty times in a sample: only reversals distinguish sigma0 and c."""
+ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one
+length and one stiffness of the bristles; encoder: 1 um. Its own start values are given to the
+methods that have starts, the true alpha2 and b to those that take them as known; a millimetre
+stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000
+mm/s are reached, at which the presliding distance is passed fifty times in a sample: only reversals
+distinguish sigma0 and c."""
 
 
 def publish(found: Mapping[Any, Path], docs: Path) -> str:
