@@ -199,7 +199,8 @@ subprocess.Popen.__init__ = never
 begun = time.perf_counter()
 from bristle.fmus import obtain
 paths = [str(obtain(what)) for what in ("plant", "observer", "controller")]
-assert not {"casadi", "fmpy", "pythonfmu"} & set(sys.modules), "symbolic or FMI packages were imported"
+imported = {"casadi", "fmpy", "pythonfmu"} & set(sys.modules)
+assert not imported, "symbolic or FMI packages were imported"
 print(time.perf_counter() - begun, *paths, sep="\\n")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
