@@ -96,7 +96,7 @@ def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, de
 
 
 def _package(path: Path, out: Path, timeout: float | None) -> int:
-    from bristle.harness.exchange.kit import replay
+    from bristle.harness.exchange.kit_replay import replay
 
     with progress(path.stem) as tell:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))

@@ -14,9 +14,8 @@ from bristle.common.drawing import thin
 from bristle.common.signals import Array
 from bristle.common.units import quantity
 from bristle.common.work import TemporaryFolder
-from bristle.fmus.host import Fmu
-from bristle.harness.cosim.drive import Drive
 from bristle.harness.metrics.fit import Data
+from bristle.harness.metrics.friction_curve import friction_curve
 from bristle.harness.metrics.validation import (
     MODEL_PARAMETERS,
     given_parameters,
@@ -43,14 +42,9 @@ from bristle.harness.scenario.plan import Setup
 from bristle.harness.scenario.reading import load
 
 STEP1_ESTIMATES = ("alpha2", "b", "Fc")
-
-# rad/s: speed from which a plant coasts down for its friction curve
-CURVE_SPEED = math.radians(120.0)
-PUSH, PUSH_RATE = 0.2, 40.0  # s and rad/s2: how it is brought there, at most
 # factor on stiffness and 1/distance: the level stays, and friction follows it a thousand times
 # sooner
 STIFFER = 1e3
-SLOWEST = math.radians(1.0)  # rad/s: below, a curve is not drawn
 
 
 def run_scenario(
@@ -221,36 +215,3 @@ def stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
     return {
         name: value if name == "modified.width" else STIFFER * value for name, value in own.items()
     }
-
-
-def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return velocity and level of friction of a plant that coasts down, the fastest first.
-
-    Parameters
-    ----------
-    law : str
-        Law of a lean plant FMU, which has J = 1 kg.m2 and b = 1 N.m/V.
-    parameters : mapping of str to float
-        Those of the law.
-
-    Returns
-    -------
-    velocity, level : ndarray, shape (n,)
-        rad/s and rad/s2; both are empty if the plant does not get to speed.
-    """
-    from bristle.fmus import obtain
-
-    h = 1e-3
-    values = {"J": 1.0, "b": 1.0, "a2": 0.0, "u_max": 1e6, **parameters}
-    push = np.full(round(PUSH / h), PUSH_RATE)
-    drive = Drive(Fmu(obtain("plant", law=law, encoder=False)), ["u"], ["v", "F"], list(values))
-    try:
-        [pushed] = drive.run(push[:, None], np.array([[*values.values()]]), h)
-        count = int(np.argmax(pushed[:, 0] > CURVE_SPEED))
-        series = np.concatenate([push[:count], np.zeros(round(2.0 / h))])
-        [found] = drive.run(series[:, None], np.array([[*values.values()]]), h)
-    finally:
-        drive.close()
-    v, level = found[count + 2 :].T
-    end = int(np.argmax(~(v > SLOWEST))) if np.any(~(v > SLOWEST)) else len(v)
-    return v[:end], level[:end]

@@ -51,7 +51,8 @@ def run(
         One line; nothing is written then, and what was there stays.
     """
     with output_folder(out):
-        return execute(build_and_check(path, out, options, progress), progress)
+        checked = build_and_check(path, out, options, progress)
+        return execute(checked, progress)
 
 
 def build_and_check(

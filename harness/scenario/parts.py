@@ -110,11 +110,9 @@ def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
     where, ports = f"{name}.variables.{key}", PORTS[name]
     estimated = name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
     if key not in ports.units and not estimated:
-        raise loaded.error(
-            where,
-            given,
-            f"no variable of the bus{suggest(key, list(ports.units))}; known: {', '.join(ports.units)}",
-        )
+        known = list(ports.units)
+        message = f"no variable of the bus{suggest(key, known)}; known: {', '.join(known)}"
+        raise loaded.error(where, given, message)
     try:
         return alias(given, ports.allowed_units(key))
     except BristleError as error:

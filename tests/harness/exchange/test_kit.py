@@ -14,7 +14,8 @@ from lxml import etree
 from bristle.common.errors import BristleError
 from bristle.fmus import obtain
 from bristle.harness.exchange.experiment import repeat
-from bristle.harness.exchange.kit import REFERENCE_SIGNALS, export, replay
+from bristle.harness.exchange.kit import REFERENCE_SIGNALS, export
+from bristle.harness.exchange.kit_replay import replay
 from bristle.harness.exchange.ssp import (
     CSV_TYPE,
     Component,

@@ -16,7 +16,8 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.paper.cases import friction_curve, scenario_path, stiffer
+from bristle.harness.metrics.friction_curve import friction_curve
+from bristle.harness.paper.cases import scenario_path, stiffer
 from bristle.harness.paper.printed_numbers import FIGURES, PRINTED
 from bristle.harness.paper.reproduce import REPRODUCE_FILES, reproduce
 from bristle.harness.paper.schemes import GAINS, SCHEMES, TEST_PLANTS
