@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import design
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=10_000)
     runs = parser.parse_args().runs
     asked = design([VARY], samples=runs)
-    sweep = prepare_sweep(find_scenario(Path("quick")), asked, Options(overrides=(DURATION,)))
+    sweep = prepare_sweep(find_scenario(Path("quick")), asked, RunOptions(overrides=(DURATION,)))
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder) / "store")
         found = run_sweep(sweep, asked, store, Means(2))

@@ -85,7 +85,7 @@ def suite(
         to_json,
     )
     from bristle.common.provenance import provenance
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.vary import seeds_of, values_of
     from bristle.harness.suite.suite import find_cases, run_suite
     from bristle.harness.suite.suite_page import junit as to_junit
@@ -98,7 +98,7 @@ def suite(
         set_ or (),
     )
     check_files_writable(file for file in (junit, json) if file is not None)
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
+    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
             with fraction("test") as tell:

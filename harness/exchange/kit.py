@@ -17,7 +17,7 @@ from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
-from bristle.harness.cosim.bus import Bus, Instance, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace, BusUnit
 from bristle.harness.exchange.archive import Archive
 from bristle.harness.exchange.replay import signals_text
 from bristle.harness.exchange.ssp import (
@@ -27,10 +27,10 @@ from bristle.harness.exchange.ssp import (
     SystemStructure,
     package_files,
 )
-from bristle.harness.run.checked import Checked, Options
+from bristle.harness.run.checked import Checked, RunOptions
 from bristle.harness.run.outcome import Outcome, outcome
 from bristle.harness.run.run import build_and_check
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 REFERENCE_SIGNALS = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
@@ -42,7 +42,9 @@ MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250
 REPLAY_TOLERANCE = 1e-9
 
 
-def export(path: Path, out: Path, options: Options | None = None, platforms: str = "host") -> Path:
+def export(
+    path: Path, out: Path, options: RunOptions | None = None, platforms: str = "host"
+) -> Path:
     """Write a scenario as `out/<scenario>.ssp`, with fmus/, reference/ and README.md beside it;
     return the package.
 
@@ -52,7 +54,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         The scenario file.
     out : Path
         The folder.
-    options : Options, optional
+    options : RunOptions, optional
         As of `bristle.run`.
     platforms : str
         What the FMUs are compiled for, as of `bristle.build`.
@@ -91,7 +93,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
     return out / f"{name}.ssp"
 
 
-def _check_exportable(setup: Setup) -> None:
+def _check_exportable(setup: RunSetup) -> None:
     """Refuse what no importer could repeat from the package."""
     if setup.samples is not None:
         message = "a measured record is no co-simulation; export a scenario with a [plant]"
@@ -142,7 +144,7 @@ def _refuse_other(out: Path, name: str) -> None:
         )
 
 
-def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
+def _own_fmu(setup: RunSetup, name: str, folder: Path, platforms: str) -> Path:
     """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere
     as it is.
     """
@@ -171,7 +173,7 @@ def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
     )
 
 
-def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outcome) -> bytes:
+def _with_experiments(file: Path, name: str, bus: Bus, setup: RunSetup, found: Outcome) -> bytes:
     """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as
     it is.
     """
@@ -189,7 +191,7 @@ def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outc
     )
 
 
-def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
+def _part_of_run(name: str, bus: Bus, setup: RunSetup, trace: BusTrace) -> Experiment:
     """Return what a unit got and gave in the first steps of the run."""
     steps = min(bus.steps, MOST_STEPS_INSIDE)
     given = {port: each.values(bus.steps, bus.h) for each in setup.stimuli for port in each.ports}
@@ -215,14 +217,14 @@ def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
     )
 
 
-def _tabulated(setup: Setup) -> bool:
+def _tabulated(setup: RunSetup) -> bool:
     """True if an input is noise, which only a table gives; many tools take no table for a
     component.
     """
     return any(each.noise is not None for each in setup.stimuli)
 
 
-def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
+def _source_fmu(setup: RunSetup, folder: Path, platforms: str) -> Path:
     """Return an FMU of the stimuli."""
     from bristle.fmus.source import Source, build_source
 
@@ -242,7 +244,7 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
     return build_source(sources, setup.h, folder / f"{STIMULI}.fmu", platforms=platforms)
 
 
-def _numbers(setup: Setup, name: str) -> dict[str, float]:
+def _numbers(setup: RunSetup, name: str) -> dict[str, float]:
     """Return the values of a unit's parameters."""
     return {key: float(value) for key, value in setup.values[name].items()}
 
@@ -250,7 +252,7 @@ def _numbers(setup: Setup, name: str) -> dict[str, float]:
 def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
     """Return the bus with the FMUs of the kit; our own need no values."""
     instances = (
-        Instance(
+        BusUnit(
             each.name,
             Fmu(fmus[each.name], each.fmu.foreign),
             each.values if each.fmu.foreign else {},
@@ -260,7 +262,7 @@ def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
     return replace(bus, instances=tuple(instances))
 
 
-def _system(setup: Setup, bus: Bus) -> SystemStructure:
+def _system(setup: RunSetup, bus: Bus) -> SystemStructure:
     links = list(bus.links)
     components = []
     for each in bus.instances:
@@ -299,7 +301,7 @@ def _readme(system: SystemStructure) -> str:
     )
 
 
-def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
+def _content(setup: RunSetup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
     # command and folder name folders of this machine
@@ -320,6 +322,6 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     return files
 
 
-def signals_csv(trace: Trace) -> str:
+def signals_csv(trace: BusTrace) -> str:
     """Return all that was recorded as text, by unit and variable."""
     return signals_text(trace, [f"{unit}.{name}" for unit, name in trace.record])

@@ -16,12 +16,12 @@ from bristle.common.output import output_folder, to_json
 from bristle.common.provenance import provenance
 from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace, BusUnit, Port
 from bristle.harness.cosim.isolate import simulate_isolated
 from bristle.harness.exchange.kit import REFERENCE_SIGNALS, REPLAY_TOLERANCE, VERDICT, signals_csv
 from bristle.harness.exchange.replay import (
     STEPS_BY_DEFAULT,
-    Agreement,
+    SignalAgreement,
     agreement,
     held,
     number_of_steps,
@@ -31,19 +31,19 @@ from bristle.harness.exchange.replay import (
 from bristle.harness.exchange.ssp import (
     CSV_TYPE,
     Component,
-    Package,
+    SystemPackage,
 )
 from bristle.harness.run import results
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayedPackage:
     """A replayed package: its signals against the reference, if it has one, and where the results
     are.
     """
 
     folder: Path
-    agreement: tuple[Agreement, ...]
+    agreement: tuple[SignalAgreement, ...]
     failure: str = ""
     compared: bool = True
 
@@ -63,7 +63,7 @@ def replay(
     out: Path,
     timeout: float | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Replayed:
+) -> ReplayedPackage:
     """Run a package of any maker, compare it with the reference that it holds, and write `out/<its
     name>`.
 
@@ -83,7 +83,7 @@ def replay(
     BristleError
         One line, if it cannot be run.
     """
-    package = Package(path)
+    package = SystemPackage(path)
     with output_folder(out), TemporaryFolder("kit") as folder:
         results.refuse_strange(out / path.stem)
         bus = _replay_bus(package, Path(folder))
@@ -101,12 +101,12 @@ def replay(
                 f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
             )
         )
-        found = Replayed(out / path.stem, agreement, failure, compared)
+        found = ReplayedPackage(out / path.stem, agreement, failure, compared)
         results.write(out, path.stem, _replay_files(package, found, trace))
     return found
 
 
-def _replay_bus(package: Package, folder: Path) -> Bus:
+def _replay_bus(package: SystemPackage, folder: Path) -> Bus:
     system = package.system
     fmus = {
         each.name: _unpacked(package, each, folder)
@@ -138,7 +138,7 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
             _check_port(package, fmus, source, "output")
             links.append((source, target))
     instances = tuple(
-        Instance(each.name, fmus[each.name], dict(each.values))
+        BusUnit(each.name, fmus[each.name], dict(each.values))
         for each in system.components
         if each.name in fmus
     )
@@ -153,7 +153,7 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
     )
 
 
-def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
+def _unpacked(package: SystemPackage, component: Component, folder: Path) -> Fmu:
     own = folder / component.name.replace("/", "_").replace("\\", "_")
     own.mkdir()
     fmu = Fmu(package.unpack(component.source, own), True)
@@ -166,7 +166,7 @@ def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
     return fmu
 
 
-def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
+def _times(package: SystemPackage, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
     """Return step and stop time: what the package says, else what the FMUs say."""
     experiments = [each.description.defaultExperiment for each in fmus.values()]
     steps = [float(each.stepSize) for each in experiments if each is not None and each.stepSize]
@@ -181,7 +181,9 @@ def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
     return step, stop
 
 
-def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality: str) -> None:
+def _check_port(
+    package: SystemPackage, fmus: Mapping[str, Fmu], port: Port, causality: str
+) -> None:
     unit, name = port
     if unit not in fmus or not fmus[unit].has(name, causality) or not fmus[unit].is_real(name):
         known = suggest(name, fmus[unit].names(causality)) if unit in fmus else ""
@@ -190,13 +192,15 @@ def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality
         )
 
 
-def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
+def _agreement(package: SystemPackage, trace: BusTrace) -> tuple[SignalAgreement, ...]:
     """Compare the signals with the reference."""
     signals = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
     return agreement(package.columns(REFERENCE_SIGNALS), trace.time, signals, REPLAY_TOLERANCE)
 
 
-def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
+def _replay_files(
+    package: SystemPackage, found: ReplayedPackage, trace: BusTrace
+) -> dict[str, str | bytes]:
     recorded = _recorded(package)
     tree = {
         "package": package.path.name,
@@ -214,7 +218,7 @@ def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, 
     }
 
 
-def _recorded(package: Package) -> Any:
+def _recorded(package: SystemPackage) -> Any:
     """Return the verdict that a package holds, None if it holds none."""
     if VERDICT not in package.names:
         return None

@@ -29,16 +29,16 @@ from bristle.harness.paper.schemes import (
     GAINS,
     SCHEMES,
     TEST_PLANTS,
-    Case,
     Key,
     Prediction,
     Remark,
+    SchemeCase,
 )
-from bristle.harness.run.checked import Checked, Options
+from bristle.harness.run.checked import Checked, RunOptions
 from bristle.harness.run.outcome import Outcome, outcome
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import find_scenario
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 from bristle.harness.scenario.reading import load
 
 STEP1_ESTIMATES = ("alpha2", "b", "Fc")
@@ -56,7 +56,7 @@ def run_scenario(
         say(f"{path.stem}: {name}")
 
     with TemporaryFolder("check") as folder:  # checked for its place, never written
-        checked = build_and_check(path, Path(folder), Options(overrides=overrides), stage)
+        checked = build_and_check(path, Path(folder), RunOptions(overrides=overrides), stage)
         return checked, outcome(checked, stage)
 
 
@@ -79,7 +79,7 @@ def _shortened(path: Path, share: float) -> list[str]:
     return [f"{name}={round(share * seconds, 3)} s" for name, seconds in lengths.items()]
 
 
-def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> Case:
+def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> SchemeCase:
     path, order = scenario_path(key.scheme, key.plant), key.order
     own = [] if order == FILTER_ORDERS[0] else [f"controller.parameters.order={order}"]
     checked, found = run_scenario(
@@ -101,7 +101,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     if prediction.velocity is not None:
         predictions["model"] = prediction.velocity[shown]
     published = {name: course.hat for name, course in view.published.items()}
-    return Case(
+    return SchemeCase(
         key,
         found.result,
         path,
@@ -170,7 +170,7 @@ def _inside(times: Array, key: str, share: float) -> NDArray[np.intp]:
     return np.flatnonzero((times >= first - 1e-9) & (times <= last + 1e-9))
 
 
-def _parameter(setup: Setup, name: str) -> float | None:
+def _parameter(setup: RunSetup, name: str) -> float | None:
     """Return a parameter of the observer's method, None if it has none of this name."""
     key, fmu = f"{setup.scenario.observer.method}.{name}", setup.fmus["observer"]
     if not fmu.has(key, "parameter"):
@@ -178,12 +178,12 @@ def _parameter(setup: Setup, name: str) -> float | None:
     return float(setup.values["observer"].get(key, fmu.start(key)))
 
 
-def _all_parameters(setup: Setup, names: Sequence[str]) -> list[float] | None:
+def _all_parameters(setup: RunSetup, names: Sequence[str]) -> list[float] | None:
     found = [value for name in names if (value := _parameter(setup, name)) is not None]
     return found if len(found) == len(names) else None
 
 
-def curves_of(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
+def curves_of(cases: Mapping[Key, SchemeCase]) -> dict[str, tuple[Array, Array]]:
     """Return the friction curves of Fig. 1: the original law's, and what each scheme found."""
     first = FILTER_ORDERS[0]
     lugre = cases[Key(BASELINE_SCHEME, "L0", first)].values
