@@ -52,7 +52,7 @@ from {package} import slave, tables
 too many. ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
-class {name}(slave.Slave):
+class {name}(slave.PythonSlave):
     tables = tables
 """
 
