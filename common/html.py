@@ -80,9 +80,7 @@ def badge(kind: str, text: str) -> str:
 
 
 def tally(passed: int, total: int, what: str) -> str:
-    """Return how many of `total` hold as a coloured word, for the top of a page: 14 of 14
-    checks.
-    """
+    """Return how many of `total` hold as a coloured word for the top of a page: 14 of 14 checks."""
     return badge("good" if passed == total > 0 else "bad", f"{passed} of {total} {what}")
 
 

@@ -49,9 +49,7 @@ class JointFilter:
 
     @property
     def load(self) -> int | None:
-        """Place of the load torque among the entries, which may change unseen while the servo
-        rests.
-        """
+        """Place of the load torque, which may change unseen in rest, among the entries."""
         return self.names.index("load") if "load" in self.names else None
 
     @property

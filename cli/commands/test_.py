@@ -135,9 +135,7 @@ def _exit_code(tested: Sequence[CaseResult]) -> int:
 
 
 def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:
-    """Print a line a scenario, and what does not hold; with `quiet` only the latter, and the
-    sum.
-    """
+    """Print a line a scenario, and what does not hold; with `quiet` only that, and the sum."""
     from bristle.harness.suite import by_scenario
     from bristle.harness.suite_report import failures
 

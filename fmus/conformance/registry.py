@@ -54,9 +54,7 @@ class Package:
         return [entry.filename for entry in self.entries]
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of an entry; none if it cannot be unpacked or is larger than
-        LARGEST_READ.
-        """
+        """Return the bytes of an entry; none if it is damaged or larger than LARGEST_READ."""
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
                 data = file.read(LARGEST_READ + 1)
