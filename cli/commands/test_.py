@@ -156,9 +156,7 @@ def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit
 
 
 def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:
-    """Print a line a scenario, and what does not hold; with `quiet` only the latter, and the
-    sum.
-    """
+    """Print a line a scenario, and what does not hold; with `quiet` only that, and the sum."""
     from bristle.harness.suite.suite import by_scenario
     from bristle.harness.suite.suite_page import failures
 

@@ -86,7 +86,7 @@ class CasesError(BristleError):
     ----------
     tested : list of CaseResult
         Those cases, of verdict error.
-    waiting : list of Case
+    waiting : list of SuiteCase
         The others.
     """
 
