@@ -100,7 +100,8 @@ def python_files(program: Program) -> dict[str, bytes]:
     interface = Interface(program, native=False)
     package = _package(interface)
     # FMUs in one process share sys.modules: different contents need different names
-    script = f"bristle_{program.name.lower()}_{digest(*(part for pair in package.items() for part in pair))[:16]}"
+    parts = (part for pair in package.items() for part in pair)
+    script = f"bristle_{program.name.lower()}_{digest(*parts)[:16]}"
     content = common_files(interface, 2) | {"modelDescription.xml": description_2(interface, ())}
     content |= {f"resources/{script}_parts/{name}": text.encode() for name, text in package.items()}
     content[f"resources/{script}.py"] = _script(interface, f"{script}_parts").encode()

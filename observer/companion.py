@@ -19,7 +19,8 @@ Use, in a method with estimates alpha2, b and Fc::
     COMPANION = Companion(("alpha2", "b", "Fc"), extra=2)       # h has three entries, x has two
     states:     (*own, *COMPANION.states)
     next:       own | COMPANION.advance(p, Row(z, h, x, counts, noise, alike), kept, period)
-    published:  Update(next, estimates, **COMPANION.judge(p, COMPANION.deviations(p, estimates), limits, possible))
+    sd:         COMPANION.deviations(p, estimates)
+    published:  Update(next, estimates, **COMPANION.judge(p, sd, limits, possible))
 
 The estimates may be the method's own, or the least squares themselves (`fit`). A second companion
 in one method needs a `prefix` of its own. Source: ljung1999 sections 9.6 and 11.2; hausman1978 (an

@@ -4,7 +4,8 @@
 Output y = x1 of a chain of integrators, x' = A x + Psi(y, u) theta. With the filtered regressors M,
 whose first row is zero, s = x - M theta obeys s' = A s + b beta' theta, where b = [1, b2, .., bn]
 is Hurwitz and beta' = M2 + Psi1, and
-    s^' = A s^ + b beta' theta^ + (A + lambda) b (y - s1^),   theta^' = Gamma beta (y - s1^),   x^ = s^ + M theta^,
+    s^' = A s^ + b beta' theta^ + (A + lambda) b (y - s1^),
+    theta^' = Gamma beta (y - s1^),   x^ = s^ + M theta^,
 in which y - s1^ answers to beta' (theta - theta^) through 1/(s + lambda).
 
 Bastin and Gevers' observer (3) of the same plant, put into their form (2) by z = x - b y, takes the

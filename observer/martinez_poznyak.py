@@ -9,7 +9,8 @@ For v' = x2 - alpha2 v + b u, x2' = psi theta, x2 = -w, with e = v - v^,
 While it slides, e = 0 and the correction nu is the error of x2^ itself. There remains an observer
 of order one and, behind a low-pass filter, through which a switching term shows its equivalent
 value, the regression for theta:
-    x2^' = psi theta^ + kappa nu + Ups theta^',   Ups' = -(kappa + c^ |v|) Ups + psi,   nu + Ups theta^ = Ups theta,
+    x2^' = psi theta^ + kappa nu + Ups theta^',   Ups' = -(kappa + c^ |v|) Ups + psi,
+    nu + Ups theta^ = Ups theta,
 where c^ |v| stands for what psi theta loses to the error of x2^ in psi. Until it has slid for a
 while the parameters wait. Source: martinez2001; utkin1992; dixit2008 eq. (15) to (17).
 """

@@ -5,13 +5,14 @@ of measured servos.
 
     result = bristle.run("quick", out="out")                      # co-simulate a scenario
     found = bristle.diagnose("model.toml", ["a.csv", "b.csv"])    # what does the model lack?
-    how_far = bristle.validate("model.toml", "c.csv", out="out")  # over records it was not fitted to
+    how_far = bristle.validate("model.toml", "c.csv", out="out")  # over records not fitted to
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
-    paper = bristle.reproduce("out")                              # the figures and numbers of the paper
+    paper = bristle.reproduce("out")                              # figures and numbers of the paper
 
-    many = bristle.sweep("quick", {"sensor": ["clean", "encoder"]}, seeds=range(1, 9), out="store")  # many runs, a row each
+    # many runs, a row each
+    many = bristle.sweep("quick", {"sensor": ["clean", "encoder"]}, seeds=range(1, 9), out="store")
 
-    result.to_pandas("estimates"), result.to_xarray()             # with pip install 'bristle[frames]'
+    result.to_pandas("estimates"), result.to_xarray()  # with pip install 'bristle[frames]'
 
 The functions do what the commands of the same names do. The rest of the library is imported when a
 function first needs it.

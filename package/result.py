@@ -169,38 +169,10 @@ class Result(_Answer):
         """Return what a notebook shows: the verdict, a table of the estimates, and one of the
         checks.
         """
-        from html import escape
-
-        from bristle.common import html
+        from bristle.common import pages
         from bristle.harness.metrics.checks import SIGNS
 
-        shown = ("final", "sd", "true", "error_percent", "settling_s")
-        estimates = [
-            [
-                html.identifier(name),
-                *(html.number(e[key]) for key in shown),
-                html.unit(e["unit"]),
-                "yes" if e["valid"] else "no",
-            ]
-            for name, e in self.estimates.items()
-        ]
-        limits = [f"{SIGNS[check['kind']]} {html.number(check['limit'])}" for check in self.checks]
-        checks = [
-            [
-                escape(check["name"]),
-                html.number(check["value"]),
-                limit,
-                "pass" if check["pass"] else "FAIL",
-            ]
-            for check, limit in zip(self.checks, limits, strict=True)
-        ]
-        parts = [f"<p><b>{escape(self.scenario)}: {escape(self.verdict)}</b></p>"]
-        heads = ["parameter", "estimate", "sd", "true", "error, %", "settling, s", "unit", "valid"]
-        parts += [
-            html.table(heads, estimates, range(1, 6)),
-            html.table(["check", "value", "limit", ""], checks, (1,)),
-        ]
-        return "\n".join([*parts, f"<p>{escape(str(self.report))}</p>"])
+        return pages.render("bristle/result.html", result=self, signs=SIGNS)
 
     def __repr__(self) -> str:
         good = sum(bool(check["pass"]) for check in self.checks)
@@ -315,20 +287,10 @@ class Reproduction(_Answer):
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and eq. (25) of all models."""
-        from html import escape
-
-        from bristle.common import html
+        from bristle.common import pages
         from bristle.harness.paper.schemes import COMPARED
 
-        rows = [
-            [
-                f"{escape(row['plant'])}, order {row['order']}",
-                *(html.number(row[key]) for key in COMPARED),
-            ]
-            for row in self.eq25
-        ]
-        table = html.table(["eq. (25), %", *COMPARED], rows, range(1, len(COMPARED) + 1))
-        return f"<p><b>{escape(self.verdict)}</b></p>\n{table}\n<p>{escape(str(self.report))}</p>"
+        return pages.render("bristle/reproduction.html", result=self, compared=COMPARED)
 
     def __repr__(self) -> str:
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"

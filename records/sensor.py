@@ -222,10 +222,10 @@ def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
 
 def _turn(jump: float, linear: bool, resolution: float | None) -> tuple[float, bool]:
     """Return the range that a jump is nearest to, and whether it is one that sensors have."""
-    turns = () if linear else (2.0 * np.pi, 360.0, 1.0)
-    for size in turns:
+    known = () if linear else ((2.0 * np.pi, True), (360.0, False), (1.0, False))
+    for size, sure in known:
         if abs(jump - size) < 0.02 * size:
-            return size, size == turns[0]
+            return size, sure
     if (counter := _counter(jump, resolution)) is not None:
         return counter, True
     return resolution * round(jump / resolution) if resolution else jump, False

@@ -66,20 +66,24 @@ def run(
         raise BristleError("--fmu goes with .exp files, of which none is given; leave it out")
     refuse_duplicates(scenarios)
     if replays:
-        if len(replays) < len(scenarios) or set_ or seed is not None:
-            raise BristleError(
-                "packages and experiments run as they are: without scenario files beside them,"
-                " --set and --seed"
-            )
+        _refuse_changes(len(replays) < len(scenarios) or bool(set_) or seed is not None)
         raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
-        ready = [each for each in checked if each is not None]
         worst = (
-            max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+            ERROR if None in checked else max(_executed(each, debug) for each in checked if each)
         )
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def _refuse_changes(asked: bool) -> None:
+    """Raise BristleError if more is asked of what others packed than to run it as it is."""
+    if asked:
+        raise BristleError(
+            "packages and experiments run as they are: without scenario files beside them,"
+            " --set and --seed"
+        )
 
 
 def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, debug: bool) -> int:

@@ -28,7 +28,37 @@ from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
-    from bristle.harness.suite.suite import CaseResult
+    from bristle.harness.run.checked import Options
+    from bristle.harness.suite.suite import Case, CaseResult
+
+ScenariosArgument = Annotated[
+    list[Path], scenario_argument("files, names from bristle list, or folders of them")
+]
+OutOption = Annotated[
+    Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)
+]
+SeedsOption = Annotated[
+    str | None, typer.Option(help="seeds of the reference: 1-12 or 1,4,7-9", metavar="SEEDS")
+]
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(help="values of a key of the file: a:b:n or [v1, v2]", metavar="PATH=SPEC"),
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", help="processes; else one a core", min=1, metavar="N"),
+]
+JunitOption = Annotated[
+    Path | None,
+    typer.Option(help="file for the verdicts as JUnit", metavar="FILE", parser=path_of),
+]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option(help="file for the verdicts as JSON", metavar="FILE", parser=path_of),
+]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="print only what fails, and the sum")
+]
 
 
 @app.command(
@@ -40,37 +70,17 @@ if TYPE_CHECKING:
     ),
 )
 def suite(
-    scenarios: Annotated[
-        list[Path], scenario_argument("files, names from bristle list, or folders of them")
-    ],
-    out: Annotated[
-        Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)
-    ] = Path("out/test"),
-    seeds: Annotated[
-        str | None, typer.Option(help="seeds of the reference: 1-12 or 1,4,7-9", metavar="SEEDS")
-    ] = None,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(help="values of a key of the file: a:b:n or [v1, v2]", metavar="PATH=SPEC"),
-    ] = None,
+    scenarios: ScenariosArgument,
+    out: OutOption = Path("out/test"),
+    seeds: SeedsOption = None,
+    vary: VaryOption = None,
     set_: SetOption = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", "-j", help="processes; else one a core", min=1, metavar="N"),
-    ] = None,
+    jobs: JobsOption = None,
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
-    junit: Annotated[
-        Path | None,
-        typer.Option(help="file for the verdicts as JUnit", metavar="FILE", parser=path_of),
-    ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(help="file for the verdicts as JSON", metavar="FILE", parser=path_of),
-    ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="print only what fails, and the sum")
-    ] = False,
+    junit: JunitOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> int:
@@ -87,7 +97,7 @@ def suite(
     from bristle.common.provenance import provenance
     from bristle.harness.run.checked import Options
     from bristle.harness.scenario.vary import seeds_of, values_of
-    from bristle.harness.suite.suite import find_cases, run_suite
+    from bristle.harness.suite.suite import find_cases
     from bristle.harness.suite.suite_page import junit as to_junit
     from bristle.harness.suite.suite_page import render, to_tree
 
@@ -101,14 +111,7 @@ def suite(
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
-            with fraction("test") as tell:
-                tested = run_suite(
-                    cases,
-                    out,
-                    options,
-                    jobs or os.cpu_count() or 1,
-                    lambda name, done, of: tell(name, done / of),
-                )
+            tested = _tested(cases, out, options, jobs or os.cpu_count() or 1)
         except BristleError as error:
             raise _not_run(error, junit, debug) from None
         origin = {**provenance(), "command": command_line()}
@@ -118,6 +121,18 @@ def suite(
     _print(tested, quiet, out)
     reports = {json: tree, junit: to_junit(tested)}
     replace_each({path: text for path, text in reports.items() if path is not None})
+    return _exit_code(tested)
+
+
+def _tested(cases: Sequence[Case], out: Path, options: Options, jobs: int) -> list[CaseResult]:
+    """Run all cases, and show how far it is."""
+    from bristle.harness.suite.suite import run_suite
+
+    with fraction("test") as tell:
+        return run_suite(cases, out, options, jobs, lambda name, done, of: tell(name, done / of))
+
+
+def _exit_code(tested: Sequence[CaseResult]) -> int:
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS
 
@@ -125,7 +140,7 @@ def suite(
 def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit:
     """Print why nothing is run, also into the JUnit file; return what ends the command."""
     from bristle.common.output import replace_each
-    from bristle.harness.suite import Case, CaseResult, CasesError
+    from bristle.harness.suite.suite import Case, CaseResult, CasesError
     from bristle.harness.suite.suite_page import junit as to_junit
 
     complain_each(error, debug)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from bristle.common.drawing import (
     set_labels,
     set_title,
 )
-from bristle.common.html import number, table, unit
 from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.diagnosis.report.axes import shown
 from bristle.diagnosis.report.result import Trace, WholeRecords
@@ -161,21 +159,3 @@ def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
         )
     )
     return curves
-
-
-def whole_table(whole: WholeRecords, both: bool) -> str:
-    """Return the table of the errors of all records."""
-    per = unit(whole.records[0].unit)
-    rows = []
-    for r in whole.records:
-        cells = [number(r.rms_after, 3), number(r.fit_after, 4)]
-        rows.append(
-            [
-                escape(r.record),
-                *([number(r.rms_before, 3), number(r.fit_before, 4)] if both else []),
-                *cells,
-            ]
-        )
-    when = (f"rms error before, {per}", "FIT before, %", f"rms error after, {per}", "FIT after, %")
-    head = ("record", *when) if both else ("record", f"rms error, {per}", "FIT, %")
-    return table(head, rows, tuple(range(1, len(head))))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -367,28 +366,15 @@ class Diagnosis:
         """Return what a notebook shows: the verdict, the answer in sentences, and a table of the
         effects.
         """
-        from bristle.common import html
+        from bristle.common import pages
         from bristle.diagnosis.report.headline import VERDICTS, headline
 
-        found = [
-            (effect.name, name, e)
-            for effect in self.effects
-            for name, e in effect.parameters.items()
-        ]
-        numbers = [(e.value, *(e.ci95 or (None, None))) for *_, e in found]
-        rows = [
-            [
-                html.identifier(effect),
-                html.identifier(name),
-                *map(html.number, row),
-                html.unit(e.unit),
-            ]
-            for (effect, name, e), row in zip(found, numbers, strict=True)
-        ]
-        heads = ["effect", "parameter", "value", "95 %, from", "to", "unit"]
-        parts = [f"<p><b>{escape(headline(self))}</b> ({escape(VERDICTS[self.verdict])})</p>"]
-        parts += [f"<p>{escape(sentence)}</p>" for sentence in self.statement]
-        return "\n".join([*parts, *([html.table(heads, rows, (2, 3, 4))] if rows else [])])
+        return pages.render(
+            "bristle.diagnosis.report/notebook.html",
+            diagnosis=self,
+            heading=headline(self),
+            verdict=VERDICTS[self.verdict],
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""

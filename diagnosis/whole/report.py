@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
-from bristle.common.drawing import ESTIMATE, STYLE, svg
-from bristle.common.html import beside, figure, number, page, table, unit
+from bristle.common import pages
+from bristle.common.drawing import ESTIMATE, STYLE, Drawing, svg
 from bristle.common.output import (
     check_no_folder,
     check_not_replaced,
@@ -83,51 +82,27 @@ def sentences(validation: Validation) -> list[str]:
 
 def render(validation: Validation, made: Mapping[str, Any]) -> str:
     """Return the page; `made` is the key `provenance`."""
-    rows = [
-        (
-            escape(r.name),
-            number(float(len(r.time)) * _period(r), 4),
-            number(r.rms, 4),
-            unit(r.unit),
-            number(r.fit_percent, 4),
-            number(r.mse_percent, 3),
-        )
-        for r in validation.records
-    ]
-    head = ("record", "length, s", "rms error", "unit", "FIT, %", "eq. (25), %")
-    lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in sentences(validation)[:3])
-    findings = "".join(f"<li>{escape(line)}</li>" for line in validation.findings)
-    parts = [
-        (
-            f'<header><p class="name">validation</p><h1>{escape(validation.name)} in open'
-            f" loop</h1>{lead}{beside(VALIDATION_FILES[:1])}</header>"
-        ),
-        f"<h2>Whole records</h2>{table(head, rows, (1, 2, 4, 5))}",
-        (
-            '<p class="sub">Each record is simulated from its start to its end with nothing but the'
-            " input; only position and velocity at the start are fitted. FIT: 100 % less the rms"
-            " error in per cent of the rms deviation of the output from its mean. Eq. (25):"
-            " variance of the error in per cent of that of the output.</p>"
-        ),
-        "".join(
-            _drawn(validation.kind, r, k) for k, r in enumerate(validation.records[:DRAWN_RECORDS])
-        ),
-        f"<h2>Findings</h2><ul>{findings}</ul>" if findings else "",
-        f"<h2>Where it comes from</h2>{table(('', ''), _made(made))}",
-    ]
-    return page(f"validation of {validation.name}", "\n".join(part for part in parts if part))
+    drawn = validation.records[:DRAWN_RECORDS]
+    return pages.render(
+        "bristle.diagnosis.report/validation.html",
+        name=validation.name,
+        sentences=sentences(validation)[:3],
+        records=validation.records,
+        drawn=[
+            (each.name, *_drawn(validation.kind, each, place)) for place, each in enumerate(drawn)
+        ],
+        findings=validation.findings,
+        made=made,
+    )
 
 
-def _period(record: ValidatedRecord) -> float:
-    return float(record.time[1] - record.time[0])
-
-
-def _drawn(kind: str, record: ValidatedRecord, place: int) -> str:
+def _drawn(kind: str, record: ValidatedRecord, place: int) -> tuple[Drawing, Drawing | None]:
+    """Return the figures of a record, along it and of the error against the horizon."""
     from matplotlib import rc_context
 
     curve = Curve("simulated", ESTIMATE, record.simulated, record.horizons)
     with rc_context(STYLE):
-        drawn = svg(open_loop_figure(record.trace, [curve], (kind, record.unit)), f"record{place}")
+        along = svg(open_loop_figure(record.trace, [curve], (kind, record.unit)), f"record{place}")
         horizons = horizon_figure([curve], record.unit)
         against = None if horizons is None else svg(horizons, f"horizons{place}")
     error = (
@@ -135,26 +110,7 @@ def _drawn(kind: str, record: ValidatedRecord, place: int) -> str:
         if math.isfinite(record.rms)
         else "the simulation fails"
     )
-    drawn.seen = f"{record.name}: {error}"
-    text = figure(record.name, drawn, "Measured and simulated, and the error, along the record.")
+    along.seen = f"{record.name}: {error}"
     if against is not None:
         against.seen = horizons_seen([curve], record.unit)
-        caption = (
-            "The rms error where the simulation begins anew, with a fitted start, after so many"
-            " seconds; the last point is that of the whole record."
-        )
-        text += figure("Error against horizon", against, caption)
-    return f"<h2>{escape(record.name)}</h2>{text}"
-
-
-def _made(made: Mapping[str, Any]) -> list[tuple[str, str]]:
-    rows = []
-    for key, value in made.items():
-        if isinstance(value, Mapping):
-            rows += [
-                (escape(str(name)), f"<code>{escape(str(text))}</code>")
-                for name, text in value.items()
-            ]
-        else:
-            rows.append((escape(key.replace("_", " ")), f"<code>{escape(str(value))}</code>"))
-    return rows
+    return along, against

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -89,20 +88,9 @@ class Validation:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the errors of each record."""
-        from bristle.common import html
+        from bristle.common import pages
 
-        rows = [
-            [
-                escape(r.name),
-                *map(html.number, (r.rms, r.fit_percent, r.mse_percent)),
-                html.unit(r.unit),
-            ]
-            for r in self.records
-        ]
-        head = ["record", "rms error", "FIT, %", "eq. (25), %", "unit of the rms error"]
-        return (
-            f"<p><b>{escape(self.name)}</b>, in open loop</p>\n{html.table(head, rows, (1, 2, 3))}"
-        )
+        return pages.render("bristle.diagnosis.report/validation_notebook.html", validation=self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what validation.json holds: plain numbers, lists and text, no NaN."""

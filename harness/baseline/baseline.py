@@ -97,21 +97,11 @@ def make_baseline(
     BristleError
         If the scenario does not run to its end: it is then no reference.
     """
-    tell, ways = (
-        progress or (lambda name, share: None),
-        repeats(checked.setup) if ways is None else ways,
-    )
+    tell = progress or (lambda name, share: None)
+    ways = repeats(checked.setup) if ways is None else ways
     tell("reference", 0.0)
     first = outcome(checked)
-    if "diverged" in first.result:
-        stopped = first.result["diverged"]
-        what = f"{stopped['fmu']}: {stopped['message']}"
-        raise checked.setup.loaded.error(
-            "duration",
-            None,
-            f"the run ends at {stopped['time_s']:g} s, {what}; a reference needs a run that reaches"
-            " its end",
-        )
+    _check_end(checked, first.result)
     reference = first.view.columns()
     spread, found, runs = Spread(reference), [], []
     for k, way in enumerate(ways, 1):
@@ -129,6 +119,15 @@ def make_baseline(
     return Baseline(
         first.result, _stored(spread), measured_quantities(plain(first.result), found), runs
     )
+
+
+def _check_end(checked: Checked, result: Mapping[str, Any]) -> None:
+    """Refuse a run that ended early."""
+    if "diverged" in result:
+        stopped = result["diverged"]
+        what = f"{stopped['fmu']}: {stopped['message']}"
+        message = f"the run ends at {stopped['time_s']:g} s, {what}; a reference needs a run that"
+        raise checked.setup.loaded.error("duration", None, f"{message} reaches its end")
 
 
 def _tried(way: Repeat) -> tuple[Repeated | None, str]:

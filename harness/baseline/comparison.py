@@ -165,57 +165,65 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
     """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both
     have.
     """
-    notes, refused, scenario = (
-        _origins(a.result, b.result),
-        _refused(a.result, b.result),
-        str(a.result["scenario"]),
+    result_a, result_b = a.result, b.result
+    notes = _origins(result_a, result_b)
+    refused = _refused(result_a, result_b)
+    found = Comparison(
+        "A",
+        "B",
+        scenario=str(result_a["scenario"]),
+        rows=0,
+        instants=len(a.signals.rows),
+        refused=refused,
+        signals=(),
+        quantities=(),
+        notes=tuple(notes),
+        courses={},
+        made=(_made(result_a), _made(result_b)),
     )
-    made = _made(a.result), _made(b.result)
     rows, at_a, at_b = np.intersect1d(
         a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True
     )
-    if not refused and (lost := missing(rows, thinned(rows_of(a.result)))):
-        first = lost.first * float(a.result["step_s"])
-        refused = (
-            (
-                f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
-                " the scenario of B again"
-            ),
-        )
-    instants = len(a.signals.rows)
-    if refused:
-        return Comparison("A", "B", scenario, 0, instants, refused, (), (), tuple(notes), {}, made)
+    if not refused and (lost := missing(rows, thinned(rows_of(result_a)))):
+        first = lost.first * float(result_a["step_s"])
+        line = f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
+        found = replace(found, refused=(f"{line} the scenario of B again",))
+    if found.refused:
+        return found
     new = [name for name in b.signals.values if name not in a.signals.values]
     notes += [f"signals that only B has, not judged: {', '.join(new)}"] if new else []
-    time = np.asarray(rows * float(a.result["step_s"]), dtype=np.float64)
-    signals, courses = [], {}
-    for name, expected in a.signals.values.items():
-        if name not in b.signals.values:
-            signals.append(SignalVerdict(name, False, why="B has no such signal"))
-            continue
-        lower, upper = a.signals.lower[name][at_a], a.signals.upper[name][at_a]
-        courses[name] = SignalCourse(
-            time, expected[at_a], lower, upper, b.signals.values[name][at_b]
+    time = np.asarray(rows * float(result_a["step_s"]), dtype=np.float64)
+    courses = _courses(a.signals, b.signals, time, at_a, at_b)
+    return replace(
+        found,
+        rows=len(rows),
+        signals=tuple(
+            judge_signal(name, courses[name])
+            if name in courses
+            else SignalVerdict(name, False, why="B has no such signal")
+            for name in a.signals.values
+        ),
+        quantities=tuple(
+            judge_quantity(path, each, b.quantities.get(path))
+            for path, each in a.quantities.items()
+        ),
+        notes=tuple(notes),
+        courses=courses,
+        units={**result_b.get("units", {}), **result_a.get("units", {})},
+    )
+
+
+def _courses(
+    a: Signals, b: Signals, time: Array, at_a: NDArray[np.intp], at_b: NDArray[np.intp]
+) -> dict[str, SignalCourse]:
+    """Return of each signal of A that B has, too, what both have at the same times."""
+    return {
+        name: SignalCourse(
+            time, expected[at_a], a.lower[name][at_a], a.upper[name][at_a], b.values[name][at_b]
         )
-        signals.append(judge_signal(name, courses[name]))
-    quantities = tuple(
-        judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items()
-    )
-    units = {**b.result.get("units", {}), **a.result.get("units", {})}
-    return Comparison(
-        "A",
-        "B",
-        scenario,
-        len(rows),
-        instants,
-        (),
-        tuple(signals),
-        quantities,
-        tuple(notes),
-        courses,
-        made,
-        units=units,
-    )
+        for name, expected in a.values.items()
+        if name in b.values
+    }
 
 
 def _made(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.isolate import run_bus
-from bristle.harness.cosim.ports import SELECTOR_PARAMETERS, WHOLE_PARAMETERS
+from bristle.harness.cosim.ports import PORTS
 from bristle.harness.run.outcome import measured
 from bristle.harness.run.view import View
 from bristle.harness.scenario.plan import Setup, identification, prepare
@@ -127,7 +127,7 @@ def _is_moved(setup: Setup, unit: str, name: str) -> bool:
     """Say whether a parameter is a number that the chosen law, its effects or the chosen method
     read.
     """
-    fmu, whole = setup.fmus[unit], WHOLE_PARAMETERS.get(unit, ())
+    fmu, whole = setup.fmus[unit], PORTS[unit].whole
     if (
         not fmu.is_real(name)
         or name in whole
@@ -136,9 +136,8 @@ def _is_moved(setup: Setup, unit: str, name: str) -> bool:
     ):
         return False
     part = getattr(setup.scenario, unit)
-    others = set(fmu.choices(SELECTOR_PARAMETERS.get(unit, ""))) - {
-        getattr(part, SELECTOR_PARAMETERS.get(unit, ""), None)
-    }
+    selector = PORTS[unit].selector
+    others = set(fmu.choices(selector)) - {getattr(part, selector, None)}
     return name.partition(".")[0] not in others
 
 
@@ -202,11 +201,8 @@ def built(setup: Setup, toolchain: Toolchain) -> Setup:
         for unit, fmu in setup.fmus.items():
             if not fmu.risky:
                 part = getattr(setup.scenario, unit)
-                choice = {
-                    key: getattr(part, key)
-                    for key in (SELECTOR_PARAMETERS.get(unit),)
-                    if key is not None
-                }
+                selector = PORTS[unit].selector
+                choice = {selector: getattr(part, selector)} if selector else {}
                 effects = {"effects": part.effects} if unit == "plant" else {}
                 fmus[unit] = Fmu(obtain(unit, fmi=fmu.fmi, **choice, **effects))
     return replace(prepare(setup.loaded, fmus), timeout=setup.timeout)

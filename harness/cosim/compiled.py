@@ -160,7 +160,15 @@ class Compiled:
         control: Control,
         means: NDArray[np.int64] | None = None,
     ) -> None:
-        bus, place, worth = buses[0], memory.address, memory.worth
+        self.bus, self.control, self._memory, self._means = buses[0], control, memory, means
+        self._width = len(self.bus.flags)
+        self._connect(buses)
+        self._record(range(len(buses)))
+        self.master = self._master(len(buses))
+
+    def _connect(self, buses: Sequence[Bus]) -> None:
+        """Lay out what reaches inputs: links, events and recorded series, lane by lane."""
+        bus, place, worth = self.bus, self._memory.address, self._memory.worth
         lanes, names = range(len(buses)), [instance.name for instance in bus.instances]
         links = [
             _Link(place(a, k), place(b, k), worth(a) / worth(b), names.index(b[0]))
@@ -173,65 +181,62 @@ class Compiled:
             for n, (step, to, value) in enumerate(buses[k].events)
         )
         driven = [values / worth(port) for each in buses for port, values in each.series.items()]
+        driven_to = [place(port, k) for k in lanes for port in bus.series]
+        self._links = (_Link * len(links))(*links)
+        self._events = (_Event * len(events))(*(each for *_, each in events))
+        self._series = np.ascontiguousarray(np.column_stack(driven) if driven else np.empty((0, 0)))
+        self._series_to = np.array(driven_to, dtype=np.uintp)
+
+    def _record(self, lanes: range) -> None:
+        """Lay out what is recorded at every step, looked at now and then, and watched."""
+        bus, memory = self.bus, self._memory
+        taps = [memory.address(port, k) for k in lanes for port in bus.record]
         flags = [self._flag(memory, port, k) for k in lanes for port in bus.flags]
         watched = [i for i, (unit, _) in enumerate(bus.record) if unit in bus.watch]
-        self.bus, self.control, self._width, self._memory = bus, control, len(bus.flags), memory
-        self._links, self._events = (
-            (_Link * len(links))(*links),
-            (_Event * len(events))(*(each for *_, each in events)),
-        )
-        self._flags, self._means = (_Flag * len(flags))(*flags), means
-        self._series = np.ascontiguousarray(np.column_stack(driven) if driven else np.empty((0, 0)))
-        self._series_to = np.array(
-            [place(port, k) for k in lanes for port in bus.series], dtype=np.uintp
-        )
-        self._taps = np.array(
-            [place(port, k) for k in lanes for port in bus.record], dtype=np.uintp
-        )
-        self._factors = np.array([worth(port) for port in bus.record], dtype=float)
+        self._taps = np.array(taps, dtype=np.uintp)
+        self._factors = np.array([memory.worth(port) for port in bus.record], dtype=float)
+        self._flags = (_Flag * len(flags))(*flags)
         self._looks = np.zeros((bus.steps // bus.chunk + 2, len(flags)))
         self._look_rows = np.zeros(len(self._looks), dtype=np.int64)
         self._watched = np.array(watched, dtype=np.int64)
         self._diverged = np.zeros(len(lanes), dtype=np.int64)
-        self.master = _Master(
-            ctypes.addressof(memory.units),
-            ctypes.addressof(self._links),
-            ctypes.addressof(self._events),
-            pointer(self._series_to),
-            pointer(self._series),
-            pointer(self._taps),
-            pointer(self._factors),
-            None if means is None else pointer(means),
-            pointer(memory.values),
-            pointer(control),
-            0,
-            len(names),
-            len(links),
-            len(events),
-            len(self._series_to),
-            len(bus.record),
-            len(lanes),
-            bus.split,
-            bus.sequential,
-            bus.h,
-            bus.start,
-            -1,
-            0,
-            0,
-            ctypes.addressof(self._flags),
-            pointer(self._looks),
-            pointer(self._look_rows),
-            pointer(self._watched),
-            pointer(self._diverged) if len(lanes) > 1 else None,
-            HUGE,
-            len(flags),
-            len(watched),
-            0,
-            bus.chunk,
-            bus.steps,
-            0,
-            -1,
-            0,
+
+    def _master(self, lanes: int) -> _Master:
+        """Return what the loop is given: addresses and sizes of all that, and where it begins."""
+        bus, memory = self.bus, self._memory
+        return _Master(
+            units=ctypes.addressof(memory.units),
+            links=ctypes.addressof(self._links),
+            events=ctypes.addressof(self._events),
+            series_to=pointer(self._series_to),
+            series=pointer(self._series),
+            taps=pointer(self._taps),
+            factors=pointer(self._factors),
+            mean=None if self._means is None else pointer(self._means),
+            record=pointer(memory.values),
+            control=pointer(self.control),
+            n_units=len(bus.instances),
+            n_links=len(self._links),
+            n_events=len(self._events),
+            n_series=len(self._series_to),
+            n_taps=len(bus.record),
+            n_lanes=lanes,
+            split=bus.split,
+            sequential=bus.sequential,
+            h=bus.h,
+            start=bus.start,
+            failed_unit=-1,
+            flags=ctypes.addressof(self._flags),
+            looks=pointer(self._looks),
+            look_rows=pointer(self._look_rows),
+            watched=pointer(self._watched),
+            diverged_lanes=pointer(self._diverged) if lanes > 1 else None,
+            huge=HUGE,
+            n_flags=len(self._flags),
+            n_watched=len(self._watched),
+            every=bus.chunk,
+            steps=bus.steps,
+            diverged_row=-1,
         )
 
     @staticmethod

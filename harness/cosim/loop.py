@@ -137,24 +137,19 @@ class Session:
         self._write_row(0, places)
         self._look(0)
         while k < bus.steps and not self.control[1]:
+            # what comes from outside, then the steps of the row, then what is recorded of it
             while events and events[0][0] <= k:
-                _, (unit, name), value = events.pop(0)
-                array, index = nodes[unit].place(name)
-                array[index] = value / self._worth((unit, name))
-            for (unit, name), values in bus.series.items():
-                array, index = nodes[unit].place(name)
-                array[index] = values[k] / self._worth((unit, name))
-            for part in range(bus.split):
-                failure = self._step_fmpy(k * bus.split + part, places)
-                if failure is not None:
-                    return self._trace(k * bus.h, failure)
-                if self.averaged.any():
-                    self.values[k + 1, self.averaged] += (
-                        self._seen(places)[self.averaged] / bus.split
-                    )
+                _, port, value = events.pop(0)
+                self._set(port, value)
+            for port, values in bus.series.items():
+                self._set(port, values[k])
+            failure = self._row_fmpy(k, places)
+            if failure is not None:
+                return self._trace(k * bus.h, failure)
             k += 1
             self._write_row(k, places)
             self.control[0] = k
+            # now and then: has an estimate diverged, what do the flags say
             if k % bus.chunk == 0 or k == bus.steps:
                 early = self._diverged(max(1, k - bus.chunk + 1), k + 1)
                 if early is not None:
@@ -163,6 +158,24 @@ class Session:
                 if progress:
                     progress(k)
         return self._trace(k * bus.h)
+
+    def _set(self, port: Port, value: float) -> None:
+        """Give an input a value in the unit of the bus."""
+        array, index = self.nodes[port[0]].place(port[1])
+        array[index] = value / self._worth(port)
+
+    def _row_fmpy(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
+        """Do the communication steps of one row, and take the means over them; return why one
+        failed.
+        """
+        parts = self.bus.split
+        for part in range(parts):
+            failure = self._step_fmpy(k * parts + part, places)
+            if failure is not None:
+                return failure
+            if self.averaged.any():
+                self.values[k + 1, self.averaged] += self._seen(places)[self.averaged] / parts
+        return None
 
     def _step_fmpy(self, step: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
         """Do one communication step of all units; return why one failed."""

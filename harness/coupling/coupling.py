@@ -117,53 +117,62 @@ def coupling(
 
 def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
     """Run a bus in all couplings."""
-    scenario, bus = setup.loaded.name, replace(bus, record=(*bus.record, APPLIED))
+    bus = replace(bus, record=(*bus.record, APPLIED))
+    divided = {parts: f"all at once, step {bus.h / parts:g} s" for parts in DIVISIONS}
+    traces, notes = _traces(setup.loaded.name, bus, _ways(bus, divided), progress)
+    best, *others = traces
+    # all are compared over the rows that all have
+    rows = min(len(trace.values) for trace in traces.values())
+    schemes = {
+        name: _scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows)
+        for name in others
+    }
+    return Coupling(
+        setup.loaded.name,
+        bus.h,
+        _judged(setup, traces[best]),
+        tuple(schemes.values()),
+        _estimates(traces[best], rows),
+        _orders([schemes[name] for name in divided.values() if name in schemes]),
+        notes,
+    )
+
+
+def _ways(bus: Bus, divided: Mapping[int, str]) -> dict[str, Callable[[], Trace]]:
+    """Return how the bus is run, by name, the refined way first; `divided` names the ways with all
+    FMUs at once.
+    """
     units = [each.name for each in bus.instances]
     orders = list(dict.fromkeys(tuple(u for u in order if u in units) for order in ORDERS))
-    divided = {parts: f"all at once, step {bus.h / parts:g} s" for parts in DIVISIONS}
-    notes: tuple[str, ...] = ()
-    ways = {
-        f"{' - '.join(orders[0])}, step {bus.h / REFINED:g} s": partial(
-            coupled, bus, REFINED, orders[0]
-        )
-    }
+    refined = f"{' - '.join(orders[0])}, step {bus.h / REFINED:g} s"
+    ways = {refined: partial(coupled, bus, REFINED, orders[0])}
     ways |= {name: partial(coupled, bus, parts) for parts, name in divided.items()}
-    ways |= {
+    return ways | {
         f"{' - '.join(order)}, step {bus.h:g} s": partial(coupled, bus, 1, order)
         for order in orders
     }
+
+
+def _traces(
+    scenario: str, bus: Bus, ways: Mapping[str, Callable[[], Trace]], progress: Told
+) -> tuple[dict[str, Trace], tuple[str, ...]]:
+    """Run a bus in all ways; return the runs that came to their end, and a note on each other."""
     traces: dict[str, Trace] = {}
+    notes: list[str] = []
     for k, (name, run) in enumerate(ways.items()):
         progress(name, k / len(ways))
-        traces[name] = run()
-        if traces[name].failure is not None and k == 0:
+        trace = run()
+        if trace.failure is None:
+            traces[name] = trace
+        elif k == 0:
             raise BristleError(
                 f"{scenario}: with a step of {bus.h / REFINED:g} s the run ends early, so nothing"
                 " can be compared with it"
             )
-        if traces[name].failure is not None:
-            notes = (
-                *notes,
-                f"{name}: the run ended early, at {traces[name].steps * bus.h:g} s; it is left out",
-            )
-            del traces[name]
-    best, *others = traces
-    rows = min(len(trace.values) for trace in traces.values())
-    schemes = tuple(
-        _scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows)
-        for name in others
-    )
-    found = {scheme.name: scheme for scheme in schemes}
-    orders_of = _orders([found[name] for name in divided.values() if name in found])
-    return Coupling(
-        scenario,
-        bus.h,
-        _judged(setup, traces[best]),
-        schemes,
-        _estimates(traces[best], rows),
-        orders_of,
-        notes,
-    )
+        else:
+            end = trace.steps * bus.h
+            notes.append(f"{name}: the run ended early, at {end:g} s; it is left out")
+    return traces, tuple(notes)
 
 
 def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:

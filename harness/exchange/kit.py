@@ -43,7 +43,7 @@ from bristle.harness.exchange.ssp import (
     package_files,
 )
 from bristle.harness.run import results
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import Checked, Options
 from bristle.harness.run.outcome import Outcome, outcome
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.plan import Setup
@@ -103,50 +103,52 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
     """
     with output_folder(out):
         checked = build_and_check(path, out, options)
-        setup = checked.setup
-        _refuse_other(out, setup.loaded.name)
-        if setup.samples is not None:
-            raise setup.loaded.error(
-                "record",
-                None,
-                "a measured record is no co-simulation; export a scenario with a [plant]",
-            )
-        if setup.scenario.controller.compensation != "none":
-            raise setup.loaded.error(
-                "controller.compensation",
-                None,
-                "estimates that reach the controller are not exported; write none",
-            )
+        setup, name = checked.setup, checked.setup.loaded.name
+        _refuse_other(out, name)
+        _check_exportable(setup)
         with TemporaryFolder("kit") as folder:
-            fmus = {name: _own_fmu(setup, name, Path(folder), platforms) for name in setup.fmus}
+            # the FMUs as they are exported, the run of exactly these, and its references in them
+            fmus = {unit: _own_fmu(setup, unit, Path(folder), platforms) for unit in setup.fmus}
             if setup.stimuli and not _tabulated(setup):
                 fmus[STIMULI] = _source_fmu(setup, Path(folder), platforms)
             bus = _bus_of(checked.bus, fmus)
-            found = outcome(replace(checked, bus=bus))
-            if (failure := found.view.trace.failure) is not None:
-                raise BristleError(
-                    f"{path}: the run ends at {failure.time:g} s: {failure.message}; export one"
-                    " that ends well"
-                )
+            found = _reference(replace(checked, bus=bus))
             files = {
-                f"{name}.fmu": _with_experiments(file, name, bus, setup, found)
-                for name, file in fmus.items()
+                f"{unit}.fmu": _with_experiments(file, unit, bus, setup, found)
+                for unit, file in fmus.items()
             }
-        system = _system(setup, bus)
-        content = _content(setup, found)
-        package = archive_bytes(
-            package_files(system)
-            | {f"resources/{name}": data for name, data in files.items()}
-            | content
-        )
+        # the package, and the same files beside it
+        system, content = _system(setup, bus), _content(setup, found)
+        resources = {f"resources/{file}": data for file, data in files.items()} | content
         written = {
-            f"{setup.loaded.name}.ssp": package,
+            f"{name}.ssp": archive_bytes(package_files(system) | resources),
             "README.md": _readme(system).encode(),
         }
-        written |= {f"fmus/{name}": data for name, data in files.items()}
-        written |= {name.removeprefix("resources/"): data for name, data in content.items()}
+        written |= {f"fmus/{file}": data for file, data in files.items()}
+        written |= {file.removeprefix("resources/"): data for file, data in content.items()}
         replace_files(out, written, list(written))
-    return out / f"{setup.loaded.name}.ssp"
+    return out / f"{name}.ssp"
+
+
+def _check_exportable(setup: Setup) -> None:
+    """Refuse what no importer could repeat from the package."""
+    if setup.samples is not None:
+        message = "a measured record is no co-simulation; export a scenario with a [plant]"
+        raise setup.loaded.error("record", None, message)
+    if setup.scenario.controller.compensation != "none":
+        message = "estimates that reach the controller are not exported; write none"
+        raise setup.loaded.error("controller.compensation", None, message)
+
+
+def _reference(checked: Checked) -> Outcome:
+    """Run a scenario as the reference of its package, for which it must reach its end."""
+    found = outcome(checked)
+    if (failure := found.view.trace.failure) is not None:
+        raise BristleError(
+            f"{checked.setup.loaded.path}: the run ends at {failure.time:g} s: {failure.message};"
+            " export one that ends well"
+        )
+    return found
 
 
 def _refuse_other(out: Path, name: str) -> None:

@@ -12,6 +12,7 @@ import math
 import shlex
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,11 +106,9 @@ def compute(say: Tell, share: float = 1.0) -> Comparison:
         baseline = cases.get(Key(BASELINE_SCHEME, key.plant, key.order))
         cases[key] = case_of(key, share, tell, None if baseline is None else baseline.second)
     say("gate", len(wanted) / (len(wanted) + 1))
-    heuristic = run_scenario(find_scenario(Path(HEURISTIC)), ())[1].result["estimates"]["vc"][
-        "final"
-    ]
-    curves = curves_of(cases)
-    return Comparison(cases, curves, _content(cases, heuristic, share), share)
+    _, found = run_scenario(find_scenario(Path(HEURISTIC)), ())
+    heuristic = found.result["estimates"]["vc"]["final"]
+    return Comparison(cases, curves_of(cases), _content(cases, heuristic, share), share)
 
 
 # -- numbers ---------------------------------------------------------------------------------------
@@ -118,35 +117,37 @@ def compute(say: Tell, share: float = 1.0) -> Comparison:
 def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[str, Any]:
     """Return reproduce.json."""
     first = FILTER_ORDERS[0]
-    order_shown = [
-        Key(scheme, plant, order)
-        for plant in TEST_PLANTS
-        for order in FILTER_ORDERS
-        for scheme in SCHEMES
-    ]
-    runs = [_run_entry(cases[key]) for key in order_shown]
+    shown = [(plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS]
     judged = [case.result for key, case in cases.items() if key.order == first]
-    content: dict[str, Any] = {
+    # the cases of one plant by scheme: gains and methods are the same on both
+    by_plant = {
+        plant: {scheme: cases[Key(scheme, plant, first)] for scheme in SCHEMES}
+        for plant in TEST_PLANTS
+    }
+    given = by_plant["S"]
+    return {
         "verdict": "pass" if all(result["verdict"] == "pass" for result in judged) else "fail",
         "paper": PAPER,
         "share": share,
         "printed": {key: _printed_entry(key) for key in PRINTED},
-        "estimates": {
-            plant: {scheme: _estimates(cases[Key(scheme, plant, first)]) for scheme in SCHEMES}
-            for plant in TEST_PLANTS
-        },
-        "step2_start_s": {scheme: cases[Key(scheme, "S", first)].begin for scheme in SCHEMES},
-        "methods": {scheme: cases[Key(scheme, "S", first)].method for scheme in SCHEMES},
-        "gains": {
-            key: {scheme: _gain(cases[Key(scheme, "S", first)], key) for scheme in SCHEMES}
-            for key in GAINS
-        },
+        "estimates": {plant: _of_each(each, _estimates) for plant, each in by_plant.items()},
+        "step2_start_s": _of_each(given, lambda case: case.begin),
+        "methods": _of_each(given, lambda case: case.method),
+        "gains": {key: _of_each(given, partial(_gain, key)) for key in GAINS},
         "vc_heuristic_deg_s": math.degrees(heuristic),
-        "eq25": [_eq25(cases, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS],
+        "eq25": [_eq25(cases, plant, order) for plant, order in shown],
         "remark3": _remark3(cases),
-        "runs": runs,
+        "runs": [
+            _run_entry(cases[Key(scheme, plant, order)])
+            for plant, order in shown
+            for scheme in SCHEMES
+        ],
     }
-    return content
+
+
+def _of_each(cases: Mapping[str, Case], what: Callable[[Case], Any]) -> dict[str, Any]:
+    """Return something of the case of each scheme."""
+    return {scheme: what(case) for scheme, case in cases.items()}
 
 
 def _printed_entry(key: str) -> dict[str, Any]:
@@ -170,7 +171,7 @@ def _estimates(case: Case) -> dict[str, Any]:
     }
 
 
-def _gain(case: Case, key: str) -> list[float] | None:
+def _gain(key: str, case: Case) -> list[float] | None:
     """Return gains in the printed unit."""
     found = case.gains[key]
     return [math.degrees(value) for value in found] if found and key == "vc" else found

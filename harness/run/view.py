@@ -20,25 +20,11 @@ class View:
         observer, rig = setup.fmus["observer"], setup.rig
         units = {name: observer.unit(name) for unit, name in trace.record if unit == "observer"}
         if setup.samples is not None:
-            trace = trace.from_first_sample(
-                {("observer", name): 1 / rig.worth(unit) for name, unit in units.items()}
-            )
+            factors = {("observer", name): 1 / rig.worth(unit) for name, unit in units.items()}
+            trace = trace.from_first_sample(factors)
         self.trace, self.time, self.rig = trace, trace.time, rig
-        rows = len(trace.values)
-        self.signals: dict[str, Array] = {}
-        if setup.samples is not None:
-            s = setup.samples
-            self.signals = {"u": s.u[:rows], "theta": s.theta[:rows], "v": s.v[:rows]}
-            self.sensed = {"theta": s.theta[:rows], "v": s.v[:rows]}
-        else:
-            self.signals = {
-                name: trace[unit, name] for unit, name in trace.record if unit != "observer"
-            }
-            self.signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
-            self.sensed = {
-                key: trace["plant", port]
-                for key, port in zip(("theta", "v"), setup.sensor, strict=True)
-            }
+        self.signals, self.sensed = self._signals(setup)
+        # what the observer publishes: all of it, the states that it estimates, the parameters
         self.observed = {
             name: trace[unit, name] for unit, name in trace.record if unit == "observer"
         }
@@ -51,6 +37,19 @@ class View:
         self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
         self.published = courses(trace, self.units)
         self.friction = self._friction(setup)
+
+    def _signals(self, setup: Setup) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Return all signals but those of the observer, and position and velocity as it gets them;
+        of a record, its columns.
+        """
+        trace, rows, samples = self.trace, len(self.trace.values), setup.samples
+        if samples is not None:
+            sensed = {"theta": samples.theta[:rows], "v": samples.v[:rows]}
+            return {"u": samples.u[:rows], **sensed}, sensed
+        signals = {name: trace[unit, name] for unit, name in trace.record if unit != "observer"}
+        signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
+        ports = zip(("theta", "v"), setup.sensor, strict=True)
+        return signals, {key: trace["plant", port] for key, port in ports}
 
     def columns(self) -> dict[str, Array]:
         """Return all signals at full rate, and for each estimate whether the observer calls it

@@ -8,7 +8,7 @@ from typing import Literal
 from bristle.common.errors import BristleError, suggest
 from bristle.fmus.alias import Mapped, alias
 from bristle.fmus.host import Alias, Fmu
-from bristle.harness.cosim.ports import BUS_PORTS, NEEDED_PORTS, SELECTOR_PARAMETERS, UNITS_OF_RIGS
+from bristle.harness.cosim.ports import PORTS
 from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.scenario import Part
 
@@ -46,7 +46,7 @@ def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
     """Return an FMU of bristle, of the chosen law or method alone: no other is compiled."""
     from bristle.fmus.build import obtain
 
-    selector, effects = SELECTOR_PARAMETERS.get(name, ""), getattr(part, "effects", [])
+    selector, effects = PORTS[name].selector, getattr(part, "effects", [])
     choice = getattr(part, selector, None)
     law, method = (choice if selector == option else None for option in ("law", "method"))
     try:
@@ -65,7 +65,7 @@ def _not_built(
 
     if choice is None:
         return error
-    key = f"{name}.{SELECTOR_PARAMETERS[name]}"
+    key = f"{name}.{PORTS[name].selector}"
     if is_packaged(name, choice):
         return loaded.error(key, choice, str(error))
     if effects or plugins_of(name):
@@ -73,7 +73,7 @@ def _not_built(
     known = variant_names(name)
     if choice in known:
         return error
-    message = f"unknown {SELECTOR_PARAMETERS[name]}{suggest(choice, known)}"
+    message = f"unknown {PORTS[name].selector}{suggest(choice, known)}"
     return loaded.error(key, choice, f"{message}; choose one of: {', '.join(known)}")
 
 
@@ -83,9 +83,9 @@ def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mappe
         fmu = Fmu(loaded.beside(file), True, aliases)
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    sides = BUS_PORTS[name]
-    for needed in NEEDED_PORTS[name]:
-        side = "input" if needed in sides["inputs"] else "output"
+    ports = PORTS[name]
+    for needed in ports.needed:
+        side = "input" if needed in ports.inputs else "output"
         if not fmu.has(needed, side) or not fmu.is_real(needed):
             have = ", ".join(fmu.names(side)) or "none"
             advice = f'name the one that is meant: [{name}.variables] {needed} = "..."'
@@ -95,11 +95,9 @@ def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mappe
                 f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}",
             )
     try:
-        for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
+        for variable in ports.units:
             if variable in fmu.variables:
-                fmu.check_si(
-                    variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())
-                )
+                fmu.check_si(variable, *ports.allowed_units(variable))
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
     return fmu
@@ -109,21 +107,13 @@ def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
     """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to
     be.
     """
-    where, sides = f"{name}.variables.{key}", BUS_PORTS[name]
-    wanted = {**sides["inputs"], **sides["outputs"]}
-    if key not in wanted and not (
-        name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
-    ):
-        raise loaded.error(
-            where,
-            given,
-            f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}",
-        )
-    unit = wanted.get(key)
-    units = (
-        [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
-    )
+    where, ports = f"{name}.variables.{key}", PORTS[name]
+    estimated = name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
+    if key not in ports.units and not estimated:
+        known = list(ports.units)
+        message = f"no variable of the bus{suggest(key, known)}; known: {', '.join(known)}"
+        raise loaded.error(where, given, message)
     try:
-        return alias(given, units)
+        return alias(given, ports.allowed_units(key))
     except BristleError as error:
         raise loaded.error(where, given, str(error)) from None

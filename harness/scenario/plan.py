@@ -10,13 +10,7 @@ from bristle.common.errors import BristleError
 from bristle.common.units import quantity
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.cosim.bus import Bus, Instance, Port
-from bristle.harness.cosim.ports import (
-    BUS_PORTS,
-    FREE_INPUTS,
-    SELECTOR_PARAMETERS,
-    SENSOR_OUTPUTS,
-    WHOLE_PARAMETERS,
-)
+from bristle.harness.cosim.ports import OBSERVER, PORTS, SENSOR_OUTPUTS
 from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig
 from bristle.harness.scenario.samples import Samples, read_samples
@@ -64,7 +58,7 @@ class Setup:
     def ports(self, unit: str) -> tuple[Port, ...]:
         """Return what is recorded of a unit at every step."""
         fmu = self.fmus[unit]
-        known = BUS_PORTS[unit]["outputs"]
+        known = PORTS[unit].outputs
         return tuple(
             (unit, name)
             for name in fmu.names("output")
@@ -103,9 +97,9 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         return setup
     free = {
         name: (unit, fmus[unit])
-        for unit, names in FREE_INPUTS.items()
+        for unit, ports in PORTS.items()
         if unit in fmus
-        for name in names
+        for name in ports.free
         if fmus[unit].has(name, "input")
     }
     stimuli = read_stimuli(loaded, free, h)
@@ -131,7 +125,7 @@ def _own_parameters(fmu: Fmu, selector: str) -> list[str]:
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
     """Return the start values of a part: the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
-    selector = SELECTOR_PARAMETERS.get(name, "")
+    selector = PORTS[name].selector
     choice = getattr(part, selector, None)
     own = _own_parameters(fmu, selector)
     for key, given in part.parameters.items():
@@ -146,7 +140,7 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
             raise loaded.error(where, given, str(error)) from None
-        if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
+        if key in PORTS[name].whole and values[key] != int(values[key]):
             raise loaded.error(where, given, "must be a whole number")
     return values
 
@@ -161,7 +155,7 @@ def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
     where, given = f"{name}.parameters.{key}", getattr(loaded.scenario, name).parameters[key]
     found, owner = readers(name, key), key.partition(".")[0]
     if owner in found:
-        message = f"belongs to {SELECTOR_PARAMETERS[name]} '{owner}', this is '{choice}'; remove it"
+        message = f"belongs to {PORTS[name].selector} '{owner}', this is '{choice}'; remove it"
         raise loaded.error(where, given, message)
     try:
         for declared in found.values():
@@ -282,38 +276,51 @@ def identification(setup: Setup) -> Bus:
         name for name in observer.names("output") if name.endswith("_valid") or name == "adapted"
     ]
     flags = tuple(("observer", name) for name in said if not observer.is_real(name))
-    if setup.samples is not None:
-        samples, units = setup.samples, BUS_PORTS["observer"]["inputs"]
-        columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
-        read = {
-            name: values * setup.rig.worth(units[name])
-            for name, values in columns.items()
-            if observer.has(name, "input")
-        }
-        return Bus(
-            _instances(setup, ("observer",)),
-            setup.steps,
-            setup.h,
-            series={("observer", name): values for name, values in read.items()},
-            record=setup.ports("observer"),
-            flags=flags,
-            watch=("observer",),
-        )
+    return _on_record(setup, flags) if setup.samples is not None else _on_plant(setup, flags)
+
+
+def _on_record(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+    """Return the bus of an observer that reads a record, in the units in which it does."""
+    samples, observer = setup.samples, setup.fmus["observer"]
+    assert samples is not None
+    columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
+    read = {
+        ("observer", name): values * setup.rig.worth(OBSERVER.inputs[name])
+        for name, values in columns.items()
+        if observer.has(name, "input")
+    }
+    return Bus(
+        _instances(setup, ("observer",)),
+        setup.steps,
+        setup.h,
+        series=read,
+        record=setup.ports("observer"),
+        flags=flags,
+        watch=("observer",),
+    )
+
+
+def _on_plant(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+    """Return the bus of an observer that runs beside a plant, which a controller or a stimulus
+    drives.
+    """
     driven = [] if setup.scenario.open_loop else ["controller"]
+    units = (*driven, "plant", "observer")
+    # the loop, what the observer measures of it, and what the controller takes from the observer
     links = [*_loop_links(setup), (("controller", "u"), ("observer", "u"))] if driven else []
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
-        if observer.has(to, "input"):
+        if setup.fmus["observer"].has(to, "input"):
             links.append((("plant", source), ("observer", to)))
     if setup.scenario.controller.compensation != "none":
         links += _compensation_links(setup)
     return Bus(
-        _instances(setup, (*driven, "plant", "observer")),
+        _instances(setup, units),
         setup.steps,
         setup.h,
         links=tuple(links),
         events=events(setup.stimuli),
         series=series(setup.stimuli, setup.steps, setup.h),
-        record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
+        record=tuple(port for unit in units for port in setup.ports(unit)),
         flags=_plant_flags(setup.fmus["plant"]) + flags,
         watch=("observer",),
     )

@@ -260,25 +260,35 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
-        if self.plant and self.record:
-            raise ValueError("give either [plant] or [record], not both")
-        if self.record and (
-            self.stimuli or self.validation or "controller" in self.model_fields_set
-        ):
-            raise ValueError(
-                "[record] replaces plant and controller; remove [controller], [[stimuli]] and"
-                " [validation]"
-            )
-        if self.record and {"sensor", "controller_sensor"} & self.model_fields_set:
-            raise ValueError(
-                "[record] is what a sensor showed; remove sensor and controller_sensor"
-            )
+        self._check_record()
         if self.open_loop and (self.validation or "controller" in self.model_fields_set):
             raise ValueError(
                 "a stimulus of u replaces the controller; remove [controller] and [validation]"
             )
         if self.plant and self.duration is None:
             raise ValueError('duration is missing; write for example duration = "20 s"')
+        self._check_choices()
+        self._check_lengths()
+        return self
+
+    def _check_record(self) -> None:
+        """Refuse what a record takes the place of."""
+        if not self.record:
+            return
+        if self.plant:
+            raise ValueError("give either [plant] or [record], not both")
+        if self.stimuli or self.validation or "controller" in self.model_fields_set:
+            raise ValueError(
+                "[record] replaces plant and controller; remove [controller], [[stimuli]] and"
+                " [validation]"
+            )
+        if {"sensor", "controller_sensor"} & self.model_fields_set:
+            raise ValueError(
+                "[record] is what a sensor showed; remove sensor and controller_sensor"
+            )
+
+    def _check_choices(self) -> None:
+        """Refuse a part that is neither built nor a file, or both."""
         for key, part, choice in (
             ("plant", self.plant, "law"),
             ("observer", self.observer, "method"),
@@ -290,13 +300,15 @@ class Scenario(Section):
                 )
         if self.plant is not None and self.plant.fmu is not None and self.plant.effects:
             raise ValueError("[plant] effects join a law, and fmu is given; remove one of them")
-        for key, duration in (
-            ("duration", self.duration),
-            ("validation.duration", self.validation and self.validation.duration),
-        ):
+
+    def _check_lengths(self) -> None:
+        """Refuse a run that is no whole number of steps."""
+        lengths = {"duration": self.duration}
+        if self.validation:
+            lengths["validation.duration"] = self.validation.duration
+        for key, duration in lengths.items():
             if duration:
                 _steps(key, duration, self.step)
-        return self
 
     @property
     def steps(self) -> int:

@@ -43,6 +43,11 @@ def values_of(given: str, specs: str = SPECS) -> list[str]:
             if values.count(value) > 1:
                 raise BristleError(f"vary '{given}': {value} is in the list twice; leave one out")
         return [f"{path}={value}" for value in values]
+    return [f"{path}={value}" for value in _spread(given, spec, specs)]
+
+
+def _spread(given: str, spec: str, specs: str) -> list[str]:
+    """Return the values, with their unit, of ``a:b:n unit``."""
     found = re.fullmatch(r"([^:\s]+):([^:\s]+):(\d+)(?:\s+(\S+))?", spec)
     if found is None:
         raise BristleError(f"vary '{given}': '{spec}' is no SPEC; write {specs}")
@@ -57,7 +62,7 @@ def values_of(given: str, specs: str = SPECS) -> list[str]:
             f"vary '{given}': the ends must be finite, and n from 1 to {MOST_VALUES}"
         )
     numbers = [f"{value:.12g}" for value in np.linspace(first, last, count)]
-    return [f"{path}={number} {found[4]}" if found[4] else f"{path}={number}" for number in numbers]
+    return [f"{number} {found[4]}" if found[4] else number for number in numbers]
 
 
 def refuse_conflicts(vary: Sequence[str], seeds: Sequence[int], overrides: Sequence[str]) -> None:

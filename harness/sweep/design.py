@@ -10,7 +10,7 @@ import ast
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -192,31 +192,38 @@ def design(
         If that is no design, or has more than `MOST_RUNS` runs.
     """
     axes = tuple(map(axis_of, vary))
-    if samples is not None and samples < 1:
-        raise BristleError(f"samples {samples}: draw at least 1")
     if sampling_seed < 0:
         raise BristleError(f"sampling_seed {sampling_seed}: must be 0 or more")
-    drawn = [axis.path for axis in axes if not axis.overrides]
-    if drawn and samples is None:
-        raise BristleError(
-            f"vary '{drawn[0]}': a distribution; give samples, the number of values that are drawn"
-        )
-    if samples is not None and not drawn:
-        raise BristleError(
-            f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as"
-            " uniform(a, b)"
-        )
-    if samples is not None and sampling == "sobol" and samples & (samples - 1):
-        near = 1 << samples.bit_length()
-        raise BristleError(
-            f"samples {samples}: Sobol' points come in powers of two; write {near // 2} or {near}"
-        )
+    _check_samples(samples, sampling, [axis.path for axis in axes if not axis.overrides])
     found = Design(tuple(vary), axes, tuple(seeds), samples or 0, sampling, sampling_seed)
     if found.runs > MOST_RUNS:
         raise BristleError(
             f"vary: {found.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values"
         )
     return found
+
+
+def _check_samples(samples: int | None, sampling: Sampling, drawn: Sequence[str]) -> None:
+    """Refuse a number of samples that does not go with the keys that are `drawn`."""
+    if samples is None:
+        if drawn:
+            raise BristleError(
+                f"vary '{drawn[0]}': a distribution; give samples, the number of values that are"
+                " drawn"
+            )
+        return
+    if samples < 1:
+        raise BristleError(f"samples {samples}: draw at least 1")
+    if not drawn:
+        raise BristleError(
+            f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as"
+            " uniform(a, b)"
+        )
+    if sampling == "sobol" and samples & (samples - 1):
+        near = 1 << samples.bit_length()
+        raise BristleError(
+            f"samples {samples}: Sobol' points come in powers of two; write {near // 2} or {near}"
+        )
 
 
 def _number_and_unit(override: str) -> tuple[str, str]:
@@ -263,30 +270,9 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
         )
     positional, named = _arguments(given, name, arguments)
     if name == "uniform":
-        if len(positional) != 2 and set(named) != {"loc", "scale"}:
-            raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
-        if len(positional) == 2:
-            # its ends, which is how people write it
-            positional = [positional[0], positional[1] - positional[0]]
-    shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
-    more = len(positional) - len(shapes)
-    rest = {0: (), 1: ("scale",), 2: ("loc", "scale")}.get(more, ())
-    if isinstance(known, stats.rv_discrete):
-        rest = {1: ("loc",)}.get(more, ())
-    allowed = [*shapes, "loc", *(["scale"] if isinstance(known, stats.rv_continuous) else [])]
-    order = f"{name}({', '.join(shapes + list(rest)) or ', '.join(allowed)})"
-    if more > len(rest) or set(named) - set(allowed):
-        raise BristleError(
-            f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}"
-        )
-    values = dict(zip([*shapes, *rest], positional, strict=False)) | named
-    missing = [shape for shape in shapes if shape not in values]
-    if missing:
-        raise BristleError(
-            f"vary '{given}': parameter {missing[0]} of {name} is missing; write {order}"
-        )
+        positional = _uniform(given, positional, named)
+    frozen = known(**_parameters(given, name, known, positional, named))
     with np.errstate(all="ignore"):
-        frozen = known(**values)
         middle = frozen.ppf(0.5)
     if not np.isfinite(middle):
         raise BristleError(
@@ -294,6 +280,42 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
             " documentation"
         )
     return frozen
+
+
+def _uniform(given: str, positional: list[float], named: Mapping[str, float]) -> list[float]:
+    """Return the parameters of a uniform distribution: people write its ends."""
+    if len(positional) == 2:
+        return [positional[0], positional[1] - positional[0]]
+    if set(named) != {"loc", "scale"}:
+        raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
+    return positional
+
+
+def _parameters(
+    given: str, name: str, known: Any, positional: Sequence[float], named: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the parameters of a distribution by their names: its shapes, then scale, or location
+    and scale.
+    """
+    shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
+    # what may follow the shapes, by how many numbers do
+    discrete = hasattr(known, "pmf")
+    more = len(positional) - len(shapes)
+    follow: dict[int, tuple[str, ...]] = {1: ("scale",), 2: ("loc", "scale")}
+    rest = ({1: ("loc",)} if discrete else follow).get(more, ())
+    allowed = [*shapes, "loc", *([] if discrete else ["scale"])]
+    order = f"{name}({', '.join([*shapes, *rest]) or ', '.join(allowed)})"
+    if more > len(rest) or set(named) - set(allowed):
+        raise BristleError(
+            f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}"
+        )
+    values = dict(zip([*shapes, *rest], positional, strict=False)) | dict(named)
+    missing = [shape for shape in shapes if shape not in values]
+    if missing:
+        raise BristleError(
+            f"vary '{given}': parameter {missing[0]} of {name} is missing; write {order}"
+        )
+    return values
 
 
 def _arguments(given: str, name: str, arguments: str) -> tuple[list[float], dict[str, float]]:

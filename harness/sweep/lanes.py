@@ -18,7 +18,7 @@ from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
 from bristle.harness.cosim.bus import Array, Bus, Port, Readings, Trace
 from bristle.harness.cosim.compiled import Compiled, Memory, Unit, library
-from bristle.harness.cosim.ports import SELECTOR_PARAMETERS
+from bristle.harness.cosim.ports import PORTS
 from bristle.harness.scenario.plan import Setup
 
 MOST_LANES = 8  # of the processors that are known
@@ -121,7 +121,7 @@ class Together:
 def _lanes(setup: Setup, name: str) -> Lanes:
     """Return lanes of the program of one FMU, of the chosen law or method alone."""
     part = getattr(setup.scenario, name)
-    variant = getattr(part, SELECTOR_PARAMETERS.get(name, ""), None)
+    variant = getattr(part, PORTS[name].selector, None)
     return lanes_of(name, variant, getattr(part, "effects", ()))
 
 

@@ -30,6 +30,7 @@ Tell = Callable[[int, int], None]  # runs that are done, of how many
 
 CHUNK_RUNS = 1000  # of a large sweep: what a kill loses at most
 CHUNKS_A_JOB = 8  # at least, of a small one, so that all jobs end at about the same time
+VERDICTS = ("pass", "fail", ERROR_VERDICT)  # of a run
 WAIT = 0.2  # s between two looks at what is done
 
 
@@ -93,6 +94,32 @@ def run_sweep(
         reached.
     """
     means = means or Means()
+    _check_means(store, means)
+    begun, watcher = time.perf_counter(), Watcher()
+    # what the store has already is not made again
+    done = store.done() if means.resume else {}
+    kept = (done[key] for key in map(sweep.key, design.points()) if key in done) if done else ()
+    there = Counter(kept)
+    todo = (point for point in design.points() if sweep.key(point) not in done)
+    total, verdicts = design.runs - there.total(), dict.fromkeys(VERDICTS, 0)
+    tell = progress or (lambda _done, _total: None)
+    with executor(sweep, means, watcher) as (submit, workers):
+        described = _described(sweep, design, means.command)
+        store.describe(sweep.name, {**described, "finished": False})
+        chunks = _batches(todo, _chunk_size(total, workers, sweep.lanes))
+        for rows in _finished(submit, chunks, 2 * workers, lambda: tell(watcher.done, total)):
+            store.add(rows)
+            for row in rows:
+                verdicts[row["verdict"]] += 1
+            watcher.done = max(watcher.done, sum(verdicts.values()))
+        store.describe(sweep.name, {**described, "finished": True})
+    tell(total, total)
+    counted = {word: there[word] for word in verdicts if word in there}
+    return Summary(verdicts, counted, time.perf_counter() - begun)
+
+
+def _check_means(store: Store, means: Means) -> None:
+    """Refuse to mix runs with those of a store unasked, and to run on no thread."""
     if store.files() and not means.resume:
         raise BristleError(
             f"{store.path}: has runs already; resume it to make those that are missing, or give"
@@ -100,36 +127,12 @@ def run_sweep(
         )
     if means.jobs < 1:
         raise BristleError(f"jobs {means.jobs}: give at least 1")
-    begun, watcher = time.perf_counter(), Watcher()
-    done = store.done() if means.resume else {}
-    there = (
-        Counter(done[key] for key in map(sweep.key, design.points()) if key in done)
-        if done
-        else Counter()
-    )
-    todo = (point for point in design.points() if sweep.key(point) not in done)
-    total, verdicts = design.runs - there.total(), dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
-    tell = progress or (lambda _done, _total: None)
-    with executor(sweep, means, watcher) as (submit, workers):
-        described = _described(sweep, design, means.command)
-        store.describe(sweep.name, {**described, "finished": False})
-        size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
-        # so that no lane is left over
-        size = math.ceil(size / MOST_LANES) * MOST_LANES if sweep.lanes else size
-        for rows in _finished(
-            submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)
-        ):
-            store.add(rows)
-            for row in rows:
-                verdicts[row["verdict"]] += 1
-            watcher.done = max(watcher.done, sum(verdicts.values()))
-        store.describe(sweep.name, {**described, "finished": True})
-    tell(total, total)
-    return Summary(
-        verdicts,
-        {word: there[word] for word in verdicts if word in there},
-        time.perf_counter() - begun,
-    )
+
+
+def _chunk_size(runs: int, workers: int, lanes: bool) -> int:
+    """Return how many runs make a chunk; with lanes, so that none is left over."""
+    size = max(1, min(CHUNK_RUNS, math.ceil(runs / (workers * CHUNKS_A_JOB))))
+    return math.ceil(size / MOST_LANES) * MOST_LANES if lanes else size
 
 
 def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:

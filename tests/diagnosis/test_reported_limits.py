@@ -1,4 +1,4 @@
-"""What is reported of sizes and spreads, against simulation: limits of detection and covariances."""
+"""Reported sizes and spreads, against simulation: limits of detection and covariances."""
 
 from __future__ import annotations
 

@@ -354,57 +354,35 @@ def model_exchange_functions(raw: Raw) -> None:
     refused(raw, ERROR, "Model Exchange")
 
 
+# functions and types of things that our FMUs do not have
+ABSENT = {
+    2: """
+        CancelStep GetStatus GetIntegerStatus GetStringStatus SetRealInputDerivatives
+        GetRealOutputDerivatives
+    """,
+    3: """
+        GetClock SetClock GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction
+        SetIntervalDecimal SetIntervalFraction SetShiftDecimal SetShiftFraction
+        ActivateModelPartition EvaluateDiscreteStates EnterStepMode EnterConfigurationMode
+        ExitConfigurationMode GetOutputDerivatives GetNumberOfVariableDependencies
+        GetVariableDependencies GetAdjointDerivative
+    """,
+}
+ABSENT_TYPES = {2: "String", 3: "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 UInt64"}
+
+
 @case
 def what_is_not_there(raw: Raw) -> None:
     """Functions of things that this FMU does not have."""
-    handle, buffer, references = (
-        raw.running(),
-        ctypes.create_string_buffer(256),
-        raw.references("u"),
-    )
-    absent = (
-        [
-            "CancelStep",
-            "GetStatus",
-            "GetIntegerStatus",
-            "GetStringStatus",
-            "SetRealInputDerivatives",
-            "GetRealOutputDerivatives",
-        ]
-        if raw.fmi == 2
-        else [
-            "GetClock",
-            "SetClock",
-            "GetIntervalDecimal",
-            "GetIntervalFraction",
-            "GetShiftDecimal",
-            "GetShiftFraction",
-            "SetIntervalDecimal",
-            "SetIntervalFraction",
-            "SetShiftDecimal",
-            "SetShiftFraction",
-            "ActivateModelPartition",
-            "EvaluateDiscreteStates",
-            "EnterStepMode",
-            "EnterConfigurationMode",
-            "ExitConfigurationMode",
-            "GetOutputDerivatives",
-            "GetNumberOfVariableDependencies",
-            "GetVariableDependencies",
-            "GetAdjointDerivative",
-        ]
-    )
-    for name in absent:
+    handle, references = raw.running(), raw.references("u")
+    buffer = ctypes.create_string_buffer(256)
+    for name in ABSENT[raw.fmi].split():
         refused(
             raw,
             raw.call(name, handle, references, 1, buffer, buffer, buffer, 1, buffer, 1),
             f"fmi{raw.fmi}{name}",
         )
-    for name in (
-        ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "UInt64")
-        if raw.fmi == 3
-        else ("String",)
-    ):
+    for name in ABSENT_TYPES[raw.fmi].split():
         for verb in ("Get", "Set"):
             refused(raw, raw.call(f"{verb}{name}", handle, references, 1, buffer, 1), "type")
     refused(raw, raw.call("GetEventIndicators", handle, buffer, 1), "event indicators")

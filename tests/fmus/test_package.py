@@ -196,7 +196,8 @@ def never(*a, **k): raise AssertionError("a process was started")
 subprocess.Popen.__init__ = never
 from bristle.fmus import obtain
 paths = [str(obtain(what)) for what in ("plant", "observer", "controller")]
-assert not {"casadi", "fmpy", "pythonfmu"} & set(sys.modules), "symbolic or FMI packages were imported"
+imported = {"casadi", "fmpy", "pythonfmu"} & set(sys.modules)
+assert not imported, "symbolic or FMI packages were imported"
 print(*paths, sep="\\n")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -231,3 +232,17 @@ def test_a_changed_source_is_another_fmu(monkeypatch):
     fresh = module_from_spec(module.__spec__)
     module.__spec__.loader.exec_module(fresh)
     assert fresh._key("native", "plant", 2, None) not in before
+
+
+def test_the_time_that_is_told_grows_with_the_equations(monkeypatch):
+    """Of one law, of several on one core, and of the same with a core for each."""
+    module = importlib.import_module("bristle.fmus.build")
+    laws = [module.program_of("plant", law) for law in ("viscous", "modified", "gms")]
+    alone = [module.compile_seconds(each) for each in laws]
+    assert 1.0 < alone[0] < alone[1] < alone[2] < 3.0
+    whole = module.program_of("plant")
+    times = []
+    for cores in (1, 2, 100):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        times.append(module.compile_seconds(whole))
+    assert times[0] > times[1] > times[2] >= alone[2]

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,17 @@ ALLOWED = {
     "diagnosis": {"diagnosis", "fmus", "plant", "records", "model", "common"},
     "cli": {"cli", "harness", "diagnosis", "fmus", "plant", "observer", "model", "common"},
 }
+# of the harness: a room stands on those below it, and the applications on top know nothing of each
+# other
+APPLICATIONS = ("sweep", "suite", "baseline", "exchange", "coupling", "paper")
+HARNESS_ROOMS: dict[str, set[str]] = {
+    "cosim": {"cosim"},
+    "scenario": {"scenario", "cosim"},
+    "metrics": {"metrics", "scenario", "cosim"},
+    "run": {"run", "metrics", "scenario", "cosim"},
+    **{each: {each, "run", "metrics", "scenario", "cosim"} for each in APPLICATIONS},
+}
+MOST_FILES = 9  # of a room, besides its __init__.py
 # what of the ground floor the harness may use: it knows FMUs, not equations
 HARNESS_MODEL = {"bristle.model.compiler"}
 
@@ -62,6 +75,58 @@ def test_imports_run_downwards(room):
                 )
                 if room == "harness" and module.split(".")[1] == "model":
                     assert module in HARNESS_MODEL, f"{path.relative_to(ROOT)} imports {module}"
+
+
+def harness_modules():
+    """Return the files of the harness by their modules."""
+    found = {}
+    for path in sorted((ROOT / "harness").rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(["bristle", *parts]).removesuffix(".__init__")] = path
+    return found
+
+
+def harness_arrows():
+    """Return by module of the harness the others that it imports; `from PACKAGE import module`
+    counts as one of the module.
+    """
+    modules = harness_modules()
+    arrows = {}
+    for module, path in modules.items():
+        found = imports(path)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        arrows[module] = (found & set(modules)) - {module}
+    return arrows
+
+
+def room_of(module):
+    """Return the room of the harness that a module lies in; empty for the harness itself."""
+    return ".".join(module.split(".")[2:3])
+
+
+def test_rooms_of_the_harness_stand_on_those_below():
+    rooms = {room_of(module) for module in harness_modules()} - {""}
+    assert rooms == set(HARNESS_ROOMS)
+    for module, found in harness_arrows().items():
+        for other in found:
+            assert room_of(other) in HARNESS_ROOMS[room_of(module)], f"{module} imports {other}"
+
+
+def test_a_room_of_the_harness_can_be_overlooked():
+    counts = Counter(room_of(module) for module in harness_modules())
+    assert counts.pop("") == 1  # the harness itself
+    too_many = {room: count - 1 for room, count in counts.items() if count - 1 > MOST_FILES}
+    assert not too_many
+
+
+def test_no_files_of_the_harness_import_each_other_in_a_circle():
+    sorter = TopologicalSorter(harness_arrows())
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bristle.harness.cosim.ports import BUS_PORTS, FREE_INPUTS
+from bristle.harness.cosim.ports import PORTS
 from bristle.harness.metrics.checks import CHECK_QUANTITIES, STATES
 from bristle.harness.scenario.scenario import Scenario
 from bristle.model.normalised import OBSERVED
@@ -47,11 +47,9 @@ def missing(page: str) -> set[str]:
     """Return what a scenario may hold and a page does not list."""
     listed = sections(page)
     wanted = {path or "Top level": keys for path, keys in tables(SCHEMA).items()}
-    wanted["Stimuli"] = [name for names in FREE_INPUTS.values() for name in names]
+    wanted["Stimuli"] = [name for ports in PORTS.values() for name in ports.free]
     wanted["Check quantities"] = [*CHECK_QUANTITIES, *OBSERVED, *STATES]
-    wanted["Signals of the bus"] = [
-        name for sides in BUS_PORTS.values() for ports in sides.values() for name in ports
-    ]
+    wanted["Signals of the bus"] = [name for ports in PORTS.values() for name in ports.units]
     assert len(wanted) >= 16
     return {
         f"{path}: {key}"

@@ -77,7 +77,7 @@ def test_all_formats_give_the_same_numbers(suffix, tmp_path):
 
 
 def test_a_long_csv_is_read_by_c(tmp_path, monkeypatch):
-    """Not field by field, by what looks for mistakes: that gives the same numbers of 20 000 lines."""
+    """Not field by field, by what looks for mistakes: that gives the same 20 000 numbers."""
     path = tmp_path / "long.csv"
     table = np.random.default_rng(1).standard_normal((20000, 3))
     np.savetxt(path, table, delimiter=",", header="a,b,c", comments="")

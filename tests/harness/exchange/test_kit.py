@@ -301,8 +301,12 @@ run = CosimExecution.from_ssp_file(ssp_path=PACKAGE, step_size=1_000_000)
 seen = CosimObserver.create_last_value()
 run.add_observer(seen)
 text = lambda each: each.decode() if isinstance(each, bytes) else each
-unit = {name: run.slave_index_from_instance_name(name) for name in {name.partition(".")[0] for name in NAMES}}
-place = {f"{name}.{text(v.name)}": (i, v.reference) for name, i in unit.items() for v in run.slave_variables(i)}
+parts = {name.partition(".")[0] for name in NAMES}
+unit = {name: run.slave_index_from_instance_name(name) for name in parts}
+place = {}
+for name, i in unit.items():
+    for v in run.slave_variables(i):
+        place[f"{name}.{text(v.name)}"] = (i, v.reference)
 for k in range(0, STEPS + 1, STRIDE):
     if k:
         run.step(STRIDE)
