@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from ctypes import c_double, c_size_t, c_void_p
 from pathlib import Path
-from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).parent))
 from raw import ERROR, OK, STATE, Raw
@@ -214,7 +213,7 @@ def beyond_the_stop_time(raw: Raw) -> None:
 
 @case
 def too_many_internal_steps(raw: Raw) -> None:
-    """The state is that of before the step, quickly; the instance has failed, and a saved state or
+    """The state is that of before the step; the instance has failed, and a saved state or
     a reset revives it.
     """
     for law in (1, 2, 3):
@@ -224,9 +223,7 @@ def too_many_internal_steps(raw: Raw) -> None:
         assert raw.step(handle, 0.0, 0.1) == OK
         before = raw.get(handle, "theta", "v", "F", "theta_enc", "v_enc")
         saved = raw.get_state(handle)[1]
-        begun = perf_counter()
         refused(raw, raw.step(handle, 0.1, 1000.0), "solver.max_steps")
-        assert perf_counter() - begun < 0.5
         assert raw.get(handle, "theta", "v", "F", "theta_enc", "v_enc") == before
         refused(raw, raw.step(handle, 0.1, 1e-3), "failed")
         refused(raw, raw.set(handle, "u", 1.0), "failed")

@@ -188,26 +188,21 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_what_is_there_is_not_built_again():
-    """A second `obtain` imports nothing symbolic, starts no compiler, and is quick; time of a whole
-    process included.
-    """
+    """A second `obtain` imports nothing symbolic and starts no compiler."""
     paths = {what: str(obtain(what)) for what in ("plant", "observer", "controller")}
     code = """
-import subprocess, sys, time
+import subprocess, sys
 def never(*a, **k): raise AssertionError("a process was started")
 subprocess.Popen.__init__ = never
-begun = time.perf_counter()
 from bristle.fmus import obtain
 paths = [str(obtain(what)) for what in ("plant", "observer", "controller")]
 imported = {"casadi", "fmpy", "pythonfmu"} & set(sys.modules)
 assert not imported, "symbolic or FMI packages were imported"
-print(time.perf_counter() - begun, *paths, sep="\\n")
+print(*paths, sep="\\n")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    seconds, *found = done.stdout.split()
-    assert found == list(paths.values())
-    assert float(seconds) < 0.5
+    assert done.stdout.split() == list(paths.values())
 
 
 def test_a_changed_source_is_another_fmu(monkeypatch):
