@@ -13,23 +13,30 @@ from urllib.parse import quote
 import numpy as np
 
 from bristle.common.html import badge, beside, figure, number, page, table, unit
-from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P, SENSOR_VIEWS
-from bristle.diagnosis.localisation.unexplained import CERTAIN_P, MIN_SHARE
-from bristle.diagnosis.report.figures import as_given, captions, improved
+from bristle.diagnosis.answer import (
+    CERTAIN_P,
+    LISTED_VIEW_P,
+    MIN_SHARE,
+    SENSOR_VIEWS,
+    CandidateEffect,
+    Diagnosis,
+    Estimate,
+    Named,
+)
+from bristle.diagnosis.report.figures.of_diagnosis import as_given, captions, improved
+from bristle.diagnosis.report.figures.whole_records import whole_table
 from bristle.diagnosis.report.headline import headline, mark
-from bristle.diagnosis.report.open_loop import whole_table
-from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.report.text import (
+from bristle.diagnosis.report.text.names import (
     NATS,
     OUTLIER_NOTE,
     effect_name,
     effects_listed,
     listed,
     rounded,
-    unexplained_line,
-    unnamed_line,
     view_name,
 )
+from bristle.diagnosis.report.text.said import said as words_of
+from bristle.diagnosis.report.text.statement import unexplained_line, unnamed_line
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
@@ -230,7 +237,8 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         return ""  # nothing was searched, or it waits for wider bounds
     open_tie = bool(diagnosis.ties and not diagnosis.effects)
     if left.flag:
-        return f'<p class="alarm">{escape(unexplained_line(left, diagnosis.model.wording, open_tie))}</p>'
+        line = unexplained_line(left, diagnosis.model.wording, open_tie)
+        return f'<p class="alarm">{escape(line)}</p>'
     certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
     if not certain:
         return (
@@ -304,13 +312,11 @@ def _fact(key: str, value: Any) -> tuple[str, str]:
 
 
 def _excitation(diagnosis: Diagnosis) -> str:
+    excitation = diagnosis.excitation
     rows = [
-        _fact(key, value)
-        for key, value in diagnosis.excitation.items()
-        if key != "caveats" and value != ""
+        _fact(key, value) for key, value in excitation.items() if key != "caveats" and value != ""
     ]
-    said = _items(diagnosis.excitation.get("caveats", ()))
-    return (table(("of the records", ""), rows) if rows else "") + said
+    return (table(("of the records", ""), rows) if rows else "") + _items(excitation["caveats"])
 
 
 def _undetected(diagnosis: Diagnosis) -> str:
@@ -336,7 +342,7 @@ def _rounds(diagnosis: Diagnosis) -> str:
                 _best(best, diagnosis.model.wording),
                 number(each.null_level, 3),
                 number(each.p, 2),
-                escape(each.decision),
+                escape(words_of(each.decision)),
             )
         )
     return (
@@ -350,7 +356,7 @@ def _rounds(diagnosis: Diagnosis) -> str:
     )
 
 
-def _best(candidate: Candidate | None, wording: Wording) -> str:
+def _best(candidate: CandidateEffect | None, wording: Wording) -> str:
     if candidate is None:
         return "–"
     return (
