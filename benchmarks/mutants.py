@@ -8,8 +8,9 @@ A mutant is one change of the code of a room, drawn evenly from all that there a
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
 for a line that is run by none, other lines of its file) run against it: a share of the sampled
-tests, without the slow ones and with them, and if that passes, all tests. A clone is made and its
-lines are recorded once, with the tests of one share. Tests that fail without a mutant do not count.
+tests, without the slow ones and with them, and if that passes, all tests. The clone is made and its
+lines are recorded once, with the tests of one share: remove build/mutants to begin with another
+commit. Tests that fail without a mutant do not count.
 """
 
 from __future__ import annotations
