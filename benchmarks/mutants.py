@@ -229,14 +229,14 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
     content = file.read_bytes()
     files = tests_of(mutant, known["lines"])
     options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"]), *files]
-    stages = {
+    stages: dict[str, list[tuple[str, ...]]] = {
         "default": [("--share", share, "-m", "not slow"), ("--share", share, "-m", "slow")],
         "all": [("--all",)],
     }
     try:
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
-        for name, runs in stages.items() if files else ():
+        for name, runs in stages.items() if files else []:
             for run in runs:
                 code, failed = tested(*run, *options)
                 if code not in (0, NOTHING_RAN):
