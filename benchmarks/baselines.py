@@ -32,7 +32,7 @@ from bristle.harness.baseline.baseline import Baseline, Signals, make_baseline, 
 from bristle.harness.baseline.comparison import compare_sides
 from bristle.harness.baseline.repeats import (
     Repeat,
-    Repeated,
+    RepeatedRun,
     fused_flags,
     repeats,
     run_again,
@@ -40,11 +40,11 @@ from bristle.harness.baseline.repeats import (
     run_rounded,
 )
 from bristle.harness.baseline.tube import SAFETY
-from bristle.harness.baseline.verdicts import Comparison
+from bristle.harness.baseline.verdicts import RunComparison
 from bristle.harness.cosim.ports import PLANT
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import scenario_files
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 from bristle.harness.scenario.reading import load
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
@@ -80,7 +80,7 @@ class Tally:
         if other.worst > self.worst:
             self.worst, self.where = other.worst, other.where
 
-    def add(self, scenario: str, found: Comparison, moving: set[str]) -> None:
+    def add(self, scenario: str, found: RunComparison, moving: set[str]) -> None:
         """Count a comparison."""
         for each in (
             each for each in found.signals if each.name in moving and each.share is not None
@@ -97,7 +97,7 @@ class Tally:
         self.number_alarms += sum(not each.passed for each in judged)
 
 
-def side(again: Repeated) -> Baseline:
+def side(again: RepeatedRun) -> Baseline:
     """Return a run as what is compared with a baseline."""
     rows = np.arange(len(next(iter(again.signals.values()))))
     return Baseline(
@@ -108,13 +108,13 @@ def side(again: Repeated) -> Baseline:
     )
 
 
-def own_ways(setup: Setup) -> list[Repeat]:
+def own_ways(setup: RunSetup) -> list[Repeat]:
     """Return the repeated runs of a machine that has one compiler only."""
     others = tuple(known_compilers())
     return [way for way in repeats(setup) if not way.name.startswith(others)]
 
 
-def unseen(setup: Setup) -> Iterator[tuple[str, Repeated]]:
+def unseen(setup: RunSetup) -> Iterator[tuple[str, RepeatedRun]]:
     """Give runs without a change that a baseline of this machine's compiler has not seen, by
     kind.
     """
@@ -139,7 +139,7 @@ def own_compilers() -> list[str]:
     ]
 
 
-def changed(setup: Setup) -> Iterator[tuple[str, Setup]]:
+def changed(setup: RunSetup) -> Iterator[tuple[str, RunSetup]]:
     """Give the scenario with each number of its plant that the law in use reads, 1 % larger."""
     plant, given = setup.fmus["plant"], setup.values["plant"]
     others = set(plant.choices("law")) - {getattr(setup.scenario.plant, "law", None)}

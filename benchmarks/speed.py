@@ -27,7 +27,7 @@ from bristle.common.cache import cached, digest
 from bristle.fmus import obtain
 from bristle.fmus.controller.definition import program as controller_program
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import Session
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.native import Native
@@ -150,7 +150,7 @@ def bus(kind: str, steps: int) -> Bus:
         "observer": {"method": fmus["observer"].choices("method")[TIMED_METHOD]},
     }
     return Bus(
-        tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()),
+        tuple(BusUnit(n, fmu, chosen[n]) for n, fmu in fmus.items()),
         steps,
         COMMUNICATION_STEP,
         LINKS,

@@ -33,7 +33,7 @@ from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.cosim.node import Slaves
 from bristle.harness.exchange.kit import export
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import identification, prepare
@@ -186,7 +186,7 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
     given = parser.parse_args()
     runs = given.runs
     few = max(FEW, runs // 10)
-    path, options = find_scenario(Path("quick")), Options()
+    path, options = find_scenario(Path("quick")), RunOptions()
     asked, some = (design([VARY], samples=count) for count in (runs, few))
     sweep = replace(prepare_sweep(path, asked, options), lanes=True)
     loaded = load_point(sweep, next(some.points()))

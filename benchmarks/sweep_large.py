@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import design
@@ -61,7 +61,7 @@ def seconds_of(work: Callable[[], object]) -> float:
 def measured(runs: int) -> Measured:
     """Sweep, and write one chunk several times."""
     asked = design([VARY], samples=runs)
-    sweep = prepare_sweep(find_scenario(Path("quick")), asked, Options(overrides=(DURATION,)))
+    sweep = prepare_sweep(find_scenario(Path("quick")), asked, RunOptions(overrides=(DURATION,)))
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder) / "store")
         found = run_sweep(sweep, asked, store, Means(2))

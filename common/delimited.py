@@ -72,17 +72,13 @@ def read_delimited(path: Path) -> Columns:
 
 
 def read_rows(path: Path, rows: Rows) -> Columns:
-    """Return the columns of a table whose fields are separated already, as those of a
-    spreadsheet.
-    """
+    """Return the columns of a table whose fields are separated already, as in a spreadsheet."""
     must_fit(path, 0, max(map(len, rows), default=0))
     return _columns(path, rows, _heading(path, rows[:SNIFFED_LINES], ",", []))
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file, in UTF-8, in UTF-16, or in the 8-bit code of Western
-    spreadsheets.
-    """
+    """Return the text of a file, in UTF-8, in UTF-16, or in the code of Western spreadsheets."""
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16")
@@ -136,9 +132,7 @@ def _blank(text: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator that makes most fields of the last lines numbers, in more than one
-    column.
-    """
+    """Return the separator that makes most fields of the last lines numbers, in several columns."""
     filled = [line for line in lines if line.strip()]
     best, most = ",", 0.0
     for mark in SEPARATORS:

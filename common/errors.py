@@ -48,8 +48,7 @@ class BristleError(ValueError):
 
 
 class SimulationError(BristleError, ArithmeticError):
-    """A simulation that cannot go on: a state left the finite numbers or the internal-step cap was
-    hit.
+    """A simulation that cannot go on: a state is not finite, or the cap of steps was hit.
 
     Attributes
     ----------

@@ -83,9 +83,7 @@ def _shown(value: object) -> str:
 
 
 def mistake(path: Path | str, key: str, value: object, message: str) -> BristleError:
-    """Return the one-line error for a key of a file; value None stands for a key that is not
-    there.
-    """
+    """Return the one-line error for a key of a file; None stands for a key that is not there."""
     where = (
         f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
     )

@@ -53,9 +53,7 @@ def _check(
     effects: Sequence[str],
     platforms: str = "host",
 ) -> str | None:
-    """Return the variant asked for, or None for all; raise `BristleError` for what cannot be
-    built.
-    """
+    """Return the variant asked for, or None for all; raise `BristleError` if it cannot be built."""
     if what not in FMU_NAMES:
         raise BristleError(f"unknown FMU '{what}'; known: {', '.join(FMU_NAMES)}")
     if kind not in ("native", "python"):
@@ -98,9 +96,7 @@ def program_of(
 def program_files(
     program: Program, fmi: int = 2, kind: str = "native", platforms: str = "host"
 ) -> dict[str, bytes]:
-    """Return the content of an FMU, file name -> bytes; `fmi`, `kind` and `platforms` as of
-    `build`.
-    """
+    """Return an FMU as file name -> bytes; `fmi`, `kind` and `platforms` as of `build`."""
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
@@ -173,9 +169,7 @@ def build(
 
 
 def _sources(package: str) -> list[str | bytes]:
-    """Return names and contents of the files of a package, without importing it (that would be
-    slow).
-    """
+    """Return names and contents of the files of a package, without the slow import."""
     spec = find_spec(package)
     assert spec is not None
     folder = Path(next(iter(spec.submodule_search_locations or ())))

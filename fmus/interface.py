@@ -63,8 +63,7 @@ class Exposed:
 
     @property
     def checked(self) -> tuple[float | None, float | None]:
-        """The limits that a call which sets it obeys; those of the index are checked at
-        initialisation.
+        """The limits that a call which sets it obeys; the index's are checked at initialisation.
 
         A host that ignores the status of the call then cannot run the default instead.
         """

@@ -38,9 +38,7 @@ def _tables(interface: Interface) -> str:
 
 
 def _script(interface: Interface, package: str) -> str:
-    """Return the file that pythonfmu looks for; it takes the class that derives from most
-    others.
-    """
+    """Return the file that pythonfmu looks for; it takes the class with most base classes."""
     name, description = interface.program.name, interface.program.description
     return f"""\"\"\"{name}: {description} (generated).\"\"\"
 
@@ -53,7 +51,7 @@ from {package} import slave, tables
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
-class {name}(slave.Slave):
+class {name}(slave.PythonSlave):
     tables = tables
 """
 

@@ -218,9 +218,7 @@ def _manifest(related: Sequence[Related]) -> bytes:
 
 
 def _sums(content: Mapping[str, bytes]) -> bytes:
-    """Return the checksums of all files, as `sha256sum --check` reads them from the folder of the
-    FMU.
-    """
+    """Return the checksums of all files, as `sha256sum --check` reads them in its folder."""
     return "".join(
         f"{hashlib.sha256(content[name]).hexdigest()}  {name}\n" for name in sorted(content)
     ).encode()

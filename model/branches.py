@@ -41,8 +41,7 @@ class Branch:
 def arranged(
     lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()
 ) -> list[Line | Branch]:
-    """Return the lines in an order that respects their needs, in branches where that saves
-    operations.
+    """Return the lines in an order that respects their needs, with branches that save operations.
 
     `wanted` are needed in any case; conditions that are `inside` hold already.
     """

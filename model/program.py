@@ -1,5 +1,4 @@
-"""`Program`: one table of variables `v[]` for one or several systems, and the functions that work
-on it.
+"""`Program`: one table of variables `v[]` for one or several systems, and its functions.
 
 The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws,
 observer methods) share the table; each has its own functions, and a selector parameter chooses the

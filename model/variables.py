@@ -1,6 +1,4 @@
-"""Parameters and variables: each is declared once; everything else about it is generated from
-here.
-"""
+"""Parameters and variables: each is declared once; all else about it is generated from here."""
 
 from __future__ import annotations
 

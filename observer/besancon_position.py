@@ -32,8 +32,7 @@ def chain(h: SX) -> tuple[SX, SX, SX]:
 
 
 def innovation_gain(lam: SX, h: SX) -> SX:
-    """Return the gain that puts all three error poles at exp(-lam h): K0 = [3, 3, 1] of (6),
-    sampled.
+    """Return the gain that puts all error poles at exp(-lam h): K0 = [3, 3, 1] of (6), sampled.
 
     A filter that holds the *position* linear between samples, as the second-order observer holds
     the velocity, loses v' h^2/12, which its gain turns into an error of b; an innovation at the

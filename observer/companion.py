@@ -270,8 +270,7 @@ class Companion:
         return _Solved(everything, found, narrow, unit, distinct, left)
 
     def _drifted(self, p: Namespace, matrix: SX, rest: Rest, period: SX) -> SX:
-        """Return the information after a time in which the entry of the load has done a random
-        walk.
+        """Return the information after a time in which the load's entry has done a random walk.
 
         The quadratic form least over the change of that entry: R - R e e' R / (1 / q + e' R e).
         Source: jazwinski1970 chapter 7 (process noise), in information form.
@@ -289,9 +288,7 @@ class Companion:
         return SX(matrix - walk * column @ column.T / (1 + walk * column[rest.column]))
 
     def fit(self, p: Namespace) -> dict[str, SX]:
-        """Return the least squares beside the further columns; 0 before there are enough
-        samples.
-        """
+        """Return the least squares beside the further columns; 0 before samples suffice."""
         return {name: p[f"{self.prefix}fit{i}"] for i, name in enumerate(self.names)}
 
     def narrow(self, p: Namespace) -> dict[str, SX]:

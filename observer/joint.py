@@ -32,7 +32,7 @@ JUDGED_FROM = 5.0  # s after a start from which estimates may be valid
 
 
 @dataclass(frozen=True)
-class Filter:
+class JointFilter:
     """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their
     bounds.
 
@@ -49,9 +49,7 @@ class Filter:
 
     @property
     def load(self) -> int | None:
-        """Place of the load torque among the entries, which may change unseen while the servo
-        rests.
-        """
+        """Place of the load torque, which may change unseen in rest, among the entries."""
         return self.names.index("load") if "load" in self.names else None
 
     @property
@@ -73,7 +71,7 @@ class _Moved:
     drifted: dict[str, SX]
 
 
-def update(context: EquationContext, s: Sample, f: Filter) -> Update:
+def update(context: EquationContext, s: Sample, f: JointFilter) -> Update:
     """Advance step 1 and, once it has converged, the filter.
 
     Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
@@ -117,7 +115,7 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     )
 
 
-def _moved(p: Namespace, s: Sample, f: Filter, runs: SX) -> _Moved:
+def _moved(p: Namespace, s: Sample, f: JointFilter, runs: SX) -> _Moved:
     """Advance the filter by a sample: prediction, correction, bounds.
 
     Source: jazwinski1970 chapter 8.
@@ -150,7 +148,9 @@ def _moved(p: Namespace, s: Sample, f: Filter, runs: SX) -> _Moved:
     )
 
 
-def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) -> dict[str, Any]:
+def _published(
+    p: Namespace, s: Sample, f: JointFilter, fields: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the fields of an `Update`; an estimate is valid while the innovations are about what
     the sensor explains.
 
@@ -200,7 +200,7 @@ def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tup
     )
 
 
-def states(f: Filter) -> tuple[State, ...]:
+def states(f: JointFilter) -> tuple[State, ...]:
     """Declare step 1, vector and covariance, and how far the filter can be trusted."""
     n = len(f.names)
     return (

@@ -1,5 +1,4 @@
-"""Step 1 from position: Marino's observer with a filtered transformation, for any order n; here n =
-2.
+"""Step 1 from position: Marino's observer with a filtered transformation, for order n; here 2.
 
 Output y = x1 of a chain of integrators, x' = A x + Psi(y, u) theta. With the filtered regressors M,
 whose first row is zero, s = x - M theta obeys s' = A s + b beta' theta, where b = [1, b2, .., bn]

@@ -1,5 +1,4 @@
-"""The filter shared by Besancon's observer and its matrix-gain form, computed exactly over a
-sample.
+"""The filter shared by Besancon's observer and its matrix-gain form, exact over a sample.
 
 Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam
 Lam^-1 K0,

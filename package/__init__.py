@@ -130,14 +130,14 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.run.run import run as run_scenario
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
     chosen = seed if seed is None else as_whole_number("seed", seed)
-    options = Options(
+    options = RunOptions(
         as_choice("fmi", fmi, FMI_VERSIONS),
         as_choice("kind", kind, KINDS),
         _overrides(overrides),
@@ -203,7 +203,7 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import SAMPLINGS, design
@@ -227,7 +227,7 @@ def sweep(
     asked = design(specs, wanted, number, drawn, as_whole_number("sampling_seed", sampling_seed))
     store = Store(as_path("out", out))
     path = find_scenario(as_path("scenario", scenario))
-    prepared = prepare_sweep(path, asked, Options(overrides=_overrides(overrides)))
+    prepared = prepare_sweep(path, asked, RunOptions(overrides=_overrides(overrides)))
     threads = os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs)
     means = Means(threads, cluster, bool(resume), "bristle.sweep")
     found = run_sweep(prepared, asked, store, means)
@@ -467,7 +467,7 @@ def validate(
         or the folder cannot be written.
     """
     from bristle import diagnosis
-    from bristle.diagnosis.whole.report import check_validation_places
+    from bristle.diagnosis.report.validation_page import check_validation_places
 
     files, records = _split(data)
     given = [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))]

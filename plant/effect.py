@@ -165,9 +165,7 @@ class Evidence:
     def best(
         self, options: Sequence[float], columns: Callable[[float], Array], count: int
     ) -> list[tuple[float, Array]]:
-        """Return the options whose torques gain most, each with its coefficients; the best
-        first.
-        """
+        """Return the options whose torques gain most, with their coefficients; the best first."""
         found = [(*self.regress(columns(option)), option) for option in options]
         found.sort(key=lambda each: -each[1])
         return [(option, coefficients) for coefficients, _, option in found[:count]]
@@ -201,9 +199,7 @@ class RecordedMotion:
 
     @property
     def two_periods(self) -> float:
-        """The number of periods [1/rad] of which two fit into a turn or into the range
-        travelled.
-        """
+        """The number of periods [1/rad] of which two fit into a turn or the range travelled."""
         return 2 * 2 * np.pi / self.turn
 
 

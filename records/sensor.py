@@ -81,9 +81,7 @@ def report_steps(layout: Layout, records: list[Record]) -> list[Record]:
 
 
 def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
-    """Refuse an output whose range is a few steps of its resolution, or that is nothing but
-    noise.
-    """
+    """Refuse an output whose range is a few steps of its resolution, or that is noise only."""
     span, unit = float(np.ptp(raw.y)), layout.output_unit
     if span <= MOTIONLESS_STEPS * (resolution or 0.0) or span <= 1e-12 * float(
         np.max(np.abs(raw.y))
@@ -149,9 +147,7 @@ def repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
 
 
 def _repair_spikes(raw: Raw, resolution: float | None) -> None:
-    """Replace up to three samples that jump away and back, which no servo does, by
-    interpolation.
-    """
+    """Replace up to three samples that jump away and back, as no servo does, by interpolation."""
     d, near = np.diff(raw.y), SPIKE_NEIGHBOURS
     size = np.abs(d)
     floor = max(SPIKE_STEPS * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
@@ -183,9 +179,7 @@ def _repair_spikes(raw: Raw, resolution: float | None) -> None:
 
 
 def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
-    """Unwrap a position that jumps by one and the same amount and never leaves a range of that
-    size.
-    """
+    """Unwrap a position that jumps by one amount and never leaves a range of that size."""
     d = np.diff(raw.y)
     span = float(np.ptp(raw.y))
     jumps = np.flatnonzero(np.abs(d) > 0.5 * span)

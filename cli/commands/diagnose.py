@@ -16,7 +16,7 @@ from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError, IncompleteError
 
 if TYPE_CHECKING:
-    from bristle.diagnosis.report.result import Diagnosis
+    from bristle.diagnosis.answer import Diagnosis
     from bristle.diagnosis.selection.start_values import SearchOptions
 
 DataOption = Annotated[
@@ -178,7 +178,7 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     parameters of the effects.
     """
     from bristle.diagnosis.report.headline import headline
-    from bristle.diagnosis.report.text import effect_name
+    from bristle.diagnosis.report.text.names import effect_name
 
     print(headline(found))
     text = "\n".join(found.statement)
@@ -199,7 +199,7 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
 
 def _print_parameters(found: Diagnosis) -> None:
     """Print a table of the parameters of the effects."""
-    from bristle.diagnosis.report.text import plain_texts
+    from bristle.diagnosis.report.text.names import plain_texts
 
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:

@@ -30,8 +30,8 @@ from bristle.common.errors import BristleError
 REPLAYED = (".ssp", ".fmu", ".exp")
 
 if TYPE_CHECKING:
-    from bristle.harness.run.checked import Checked, Options
-    from bristle.harness.run.run import Run
+    from bristle.harness.run.checked import Checked, RunOptions
+    from bristle.harness.run.run import FinishedRun
 
 
 @app.command(short_help="Run scenarios, and compare estimates with true values.")
@@ -59,7 +59,7 @@ def run(
 ) -> None:
     """Run scenarios and write a result folder for each; no scenario runs before all are checked."""
     from bristle.common.output import output_folder
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
 
     replays = [path for path in scenarios if path.suffix.lower() in REPLAYED]
     if fmu is not None and not any(path.suffix.lower() == ".exp" for path in replays):
@@ -68,7 +68,7 @@ def run(
     if replays:
         _refuse_changes(len(replays) < len(scenarios) or bool(set_) or seed is not None)
         raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
+    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
         worst = (
@@ -100,7 +100,7 @@ def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, de
 
 
 def _package(path: Path, out: Path, timeout: float | None) -> int:
-    from bristle.harness.exchange.kit import replay
+    from bristle.harness.exchange.kit_replay import replay
 
     with progress(path.stem) as tell:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
@@ -136,7 +136,7 @@ def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None)
     return PASS if done.passed else FAIL
 
 
-def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:
+def _checked(path: Path, out: Path, options: RunOptions, debug: bool) -> Checked | None:
     """Check a scenario; of one that cannot be run, print the error and return None."""
     from bristle.harness.run.run import build_and_check
     from bristle.harness.scenario.catalogue import find_scenario
@@ -163,7 +163,7 @@ def _executed(checked: Checked, debug: bool) -> int:
     return PASS if done.passed else FAIL
 
 
-def _report(done: Run) -> None:
+def _report(done: FinishedRun) -> None:
     """Print the verdict of a run, why it failed, and findings on its record."""
     result = done.result
     failed = [check["name"] for check in result["checks"] if not check["pass"]]

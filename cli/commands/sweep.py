@@ -93,7 +93,7 @@ def sweep(
 ) -> int:
     """Run a scenario with all values and seeds; what comes of each run is a row of STORE."""
     from bristle.common.output import output_folder
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import design
@@ -107,7 +107,7 @@ def sweep(
     )
     store = Store(out)
     try:
-        options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
+        options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
         prepared = prepare_sweep(find_scenario(scenario), asked, options)
     except BristleError as error:
         complain_each(error, debug)

@@ -28,8 +28,8 @@ from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
-    from bristle.harness.run.checked import Options
-    from bristle.harness.suite.suite import Case, CaseResult
+    from bristle.harness.run.checked import RunOptions
+    from bristle.harness.suite.suite import CaseResult, SuiteCase
 
 ScenariosArgument = Annotated[
     list[Path], scenario_argument("files, names from bristle list, or folders of them")
@@ -95,7 +95,7 @@ def suite(
         to_json,
     )
     from bristle.common.provenance import provenance
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.vary import seeds_of, values_of
     from bristle.harness.suite.suite import find_cases
     from bristle.harness.suite.suite_page import junit as to_junit
@@ -108,7 +108,7 @@ def suite(
         cases = find_cases(scenarios, asked, varied, set_ or ())
     except BristleError as error:
         raise _not_run(error, junit, debug) from None
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
+    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
             tested = _tested(cases, out, options, jobs or os.cpu_count() or 1)
@@ -124,7 +124,9 @@ def suite(
     return _exit_code(tested)
 
 
-def _tested(cases: Sequence[Case], out: Path, options: Options, jobs: int) -> list[CaseResult]:
+def _tested(
+    cases: Sequence[SuiteCase], out: Path, options: RunOptions, jobs: int
+) -> list[CaseResult]:
     """Run all cases, and show how far it is."""
     from bristle.harness.suite.suite import run_suite
 
@@ -140,23 +142,21 @@ def _exit_code(tested: Sequence[CaseResult]) -> int:
 def _not_run(error: BristleError, junit: Path | None, debug: bool) -> typer.Exit:
     """Print why nothing is run, also into the JUnit file; return what ends the command."""
     from bristle.common.output import replace_each
-    from bristle.harness.suite.suite import Case, CaseResult, CasesError
+    from bristle.harness.suite.suite import CaseResult, CasesError, SuiteCase
     from bristle.harness.suite.suite_page import junit as to_junit
 
     complain_each(error, debug)
     if isinstance(error, CasesError):
         tested, waiting = error.tested, error.waiting
     else:
-        tested, waiting = [CaseResult(Case(Path("suite")), "error", message=str(error))], []
+        tested, waiting = [CaseResult(SuiteCase(Path("suite")), "error", message=str(error))], []
     if junit is not None:
         replace_each({junit: to_junit(tested, waiting)})
     return typer.Exit(ERROR)
 
 
 def _print(tested: Sequence[CaseResult], quiet: bool, out: Path) -> None:
-    """Print a line a scenario, and what does not hold; with `quiet` only the latter, and the
-    sum.
-    """
+    """Print a line a scenario, and what does not hold; with `quiet` only that, and the sum."""
     from bristle.harness.suite.suite import by_scenario
     from bristle.harness.suite.suite_page import failures
 

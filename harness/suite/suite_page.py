@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from bristle.common import pages
 from bristle.common.xml import printable
 from bristle.harness.metrics.checks import SIGNS, check_unit
-from bristle.harness.suite.suite import Case, CaseResult, by_scenario, summaries
+from bristle.harness.suite.suite import CaseResult, SuiteCase, by_scenario, summaries
 
 NOT_RUN = "another scenario of the suite cannot be run, so none was"
 
@@ -65,7 +65,7 @@ def to_tree(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> dict
     }
 
 
-def junit(tested: Sequence[CaseResult], waiting: Sequence[Case] = ()) -> bytes:
+def junit(tested: Sequence[CaseResult], waiting: Sequence[SuiteCase] = ()) -> bytes:
     """Return JUnit: a suite a scenario, a case a run; what a check demands stands in its failure.
 
     `waiting` are cases that were not run because others cannot be; they are skipped ones.

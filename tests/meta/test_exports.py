@@ -63,7 +63,7 @@ PUBLIC = {
     "bristle.fmus.conformance": [
         "BEHAVIOUR",
         "POINTS",
-        "Result",
+        "PointResult",
         "Severity",
         "Verdict",
         "conformance",

@@ -21,7 +21,7 @@ from bristle.fmus import isolate
 from bristle.fmus.answer import read_answer, write_answer
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import Replay, ReplaySegment, replay_records
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.isolate import simulate_isolated
 from bristle.harness.cosim.loop import simulate
 
@@ -48,7 +48,7 @@ def faulty(plant: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Bus]
 
     def make(fault: str) -> Bus:
         monkeypatch.setenv("TINY_TROUBLE", fault)
-        unit = Instance("plant", Fmu(plant, foreign=True))
+        unit = BusUnit("plant", Fmu(plant, foreign=True))
         return Bus((unit,), 900, 1e-3, events=((0, ("plant", "u"), 1.0),), record=(("plant", "v"),))
 
     return make
@@ -183,7 +183,7 @@ def test_the_unit_that_made_the_nan_is_named(faulty: Callable[[str], Bus]) -> No
     from bristle.fmus import obtain
 
     bus = faulty("nan")
-    controller = Instance("controller", Fmu(obtain("controller")))
+    controller = BusUnit("controller", Fmu(obtain("controller")))
     links = ((("plant", "v"), ("controller", "y_v")),)
     both = replace(bus, instances=(*bus.instances, controller), links=links)
     for engine in ("native", "fmpy"):

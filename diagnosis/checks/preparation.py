@@ -1,0 +1,334 @@
+"""Before the search: records -> `Dataset` -> the servo that a model describes -> `FittedModel`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bristle.common.errors import BristleError
+from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
+from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING, InputShare
+from bristle.diagnosis.checks.plausibility import Plausibility, check
+from bristle.diagnosis.estimation.dataset import (
+    SEGMENT_SECONDS,
+    STATE_SMOOTHING,
+    Dataset,
+    Grid,
+    Segments,
+    cut,
+    motion,
+    smooth,
+)
+from bristle.diagnosis.estimation.fitted_model import (
+    FittedModel,
+    fit_from_several_starts,
+    has_diverged,
+)
+from bristle.diagnosis.estimation.likelihood import FitPoint, Problem, evaluate, mean_square
+from bristle.diagnosis.estimation.noise import white_noise
+from bristle.diagnosis.estimation.simulator import (
+    BRISTLE_EFFECTS,
+    OWN_BRISTLES,
+    Free,
+    Servo,
+    fixed_values,
+    free_parameters,
+)
+from bristle.diagnosis.modelfile import Model
+from bristle.plant.effect import RecordedMotion
+from bristle.plant.effects import effects
+from bristle.plant.friction import law as find_law
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
+from bristle.records.record import Record
+
+USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
+SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
+LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
+SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
+SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
+# of the sensor's step: largest deflection of the bristles of rigid friction
+BRISTLE_DEFLECTION = 0.25
+
+
+@dataclass(frozen=True)
+class PreparedCase:
+    """What is searched: a model and records, the records as a dataset, and the model fitted to it
+    without further effects.
+
+    `notes`: of the records; `later`: of their preparation, which follow those of the search.
+    `remark` adds what else is to be said of an answer once the conclusion is known.
+    """
+
+    model: Model
+    records: Sequence[Record]
+    dataset: Dataset
+    base: FittedModel
+    notes: tuple[Line, ...] = ()
+    later: tuple[Line, ...] = ()
+    remark: Callable[[Diagnosis], Diagnosis] | None = None
+
+
+def notes_of(records: Sequence[Record], input_share: InputShare | None) -> tuple[Line, ...]:
+    """Return what is said of the records: what their reading noticed, and how the input was
+    held.
+    """
+    first, *others = records
+    held = () if input_share is None else (input_share.note,)
+    return (*first.findings, *held, *(line for record in others for line in record.findings))
+
+
+def prepared_case(
+    model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
+) -> PreparedCase | Diagnosis:
+    """Return the model fitted to the records, or a diagnosis where both seem to describe different
+    things.
+    """
+    said, dataset = check(model, records), dataset_of(model, records)
+    if said.corrections:
+        gap = nominal_gap(dataset, *base_servo_of(model, dataset))
+        return implausible(model, records, gap, said, notes)
+    tell("base refit", 0.0)
+    dataset, base, lines = prepare_model(model, records, dataset)
+    return PreparedCase(model, records, dataset, base, notes, (*lines, *said.notes))
+
+
+def implausible(
+    model: Model,
+    records: Sequence[Record],
+    gap: float,
+    said: Plausibility,
+    notes: tuple[Line, ...],
+) -> Diagnosis:
+    """Return a diagnosis where data and model seem to describe different things; `gap` as of
+    `not_searched`.
+    """
+    lead = finding(Reason.IMPLAUSIBLE, corrections=said.corrections)
+    answer = not_searched(model, records, gap, lead, (*notes, *said.notes))
+    return replace(answer, corrections=said.corrections)
+
+
+def not_searched(
+    model: Model, records: Sequence[Record], gap: float, lead: Finding, notes: tuple[Line, ...]
+) -> Diagnosis:
+    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output
+    squared], `lead` is why.
+    """
+    errors = Gap(gap, gap, None, model.output_unit)
+    excited = excitation(model, records)
+    return Diagnosis("not_identifiable", errors, excited, model, leads=(lead,), notes=notes)
+
+
+def segment_seconds(model: Model, records: Sequence[Record]) -> float:
+    """Return how long segments are [s]: as many of the servo's nominal time constants J/a2 as
+    usual, to within a factor of 2.
+
+    In a small part of a time constant the motion shows little of what acts on it. The nominal a2 is
+    rough, but one that was fitted would make up for what the model lacks.
+    """
+    h, whole, a2 = records[0].h, sum(len(r) * r.h for r in records), model.parameters.get("a2", 0.0)
+    if not a2 > 0:
+        return SEGMENT_SECONDS
+    power = round(math.log(model.parameters["J"] / a2 / USUAL_TIME_CONSTANT, SEGMENT_FACTOR))
+    while power < 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power < SEGMENT_BINS * h:
+        power += 1
+    while power > 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power * LEAST_SEGMENTS > whole:
+        power -= 1
+    return SEGMENT_SECONDS * SEGMENT_FACTOR**power
+
+
+def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = None) -> Dataset:
+    """Return the records as segments of so many seconds, by default of a length for this servo,
+    with their smoothed motion.
+    """
+    seconds = seconds or segment_seconds(model, records)
+    h, velocity = records[0].h, model.output_kind == "velocity"
+    length = max(8, round(seconds / h))
+    width = max(1, length // SEGMENT_BINS)
+    bins = length // width
+    long = [r for r in records if len(r) >= 3 * length]
+    if not long:
+        raise BristleError(
+            f"records: none lasts three segments of {length * h:g} s; give longer ones"
+        )
+    resolution = model.resolution or max(r.resolution or 0.0 for r in records)
+    noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
+    resolution, grid = resolution or max(noise, 1e-12), Grid(h, width, bins, velocity)
+    pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution) for r in long)
+    segments = Segments(h, width, bins, velocity, pieces)
+    least = resolution / math.sqrt(12 * width) / 3
+    moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
+    shown = excitation(model, records)
+    excluded = excluded_effects(model, shown.lacks)
+    return Dataset(
+        segments,
+        moved,
+        resolution,
+        least,
+        shown.uniform,
+        excluded,
+        model.linear,
+        float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
+        h >= SLOW_SAMPLING and not any(r.ahead for r in records),
+    )
+
+
+def recorded_motion(dataset: Dataset) -> RecordedMotion:
+    """Return what effects derive the limits of their parameters from."""
+    m, s = dataset.motion, dataset.segments
+    time = dataset.time_at(s.consecutive(range(len(s.pieces)))) if s.own_clocks else m.time
+    return RecordedMotion(
+        m.theta, m.v, m.u, time, dataset.turn, dataset.segments.seconds, dataset.linear
+    )
+
+
+def limits(dataset: Dataset) -> dict[str, tuple[float, float]]:
+    """Return how far parameters of effects may move on this axis and in these records."""
+    m = recorded_motion(dataset)
+    return {
+        key: ends
+        for e in effects().values()
+        if e.limits
+        for key, ends in e.by_full_name(e.limits(m)).items()
+    }
+
+
+def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
+    """Return the intervals of parameters outside which an effect needs a stronger likelihood
+    gain.
+    """
+    m = recorded_motion(dataset)
+    return {
+        key: ends
+        for e in effects().values()
+        if e.credible
+        for key, ends in e.by_full_name(e.credible(m)).items()
+    }
+
+
+def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, Finding]:
+    """Return the effects that are no candidates, each with the reason: the servo of a model cannot
+    lack them, the sensor cannot show them, or the records lack (`lacks`) what they need.
+    """
+    law, unknown = find_law(model.friction), model.output_kind == "velocity"
+    found = {}
+    for e in effects().values():
+        # the last reason that holds is given
+        if e.excluded and (why := e.excluded(law)):
+            found[e.name] = finding(Reason.REFUSED, why=why)
+        if e.once_per_turn and model.linear:
+            found[e.name] = finding(Reason.LINEAR_AXIS)
+        if e.follow and unknown:
+            found[e.name] = finding(Reason.NO_POSITION)
+        if needs := tuple(need for need in e.needs if need in lacks):
+            found[e.name] = finding(Reason.RECORDS_LACK, what=needs)
+    return found
+
+
+def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, float]]:
+    """Return the servo that a model describes, its own effects included, and its start values.
+
+    Parameters with bounds are free, with a wide prior around their nominal values.
+    """
+    s, given = dataset.segments, {"b": 1.0, **model.parameters}
+    free = []
+    for name, (low, high) in model.bounds.items():
+        doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
+        free.append(Free(name, low, high, nominal=given[name], prior_sd=doubt))
+    values, dry = (
+        dict(given),
+        f"{model.friction}.Fc" in given and not find_law(model.friction).states,
+    )
+    rigid = dry and not set(model.effects) & set(BRISTLE_EFFECTS)
+    if dry:
+        step = dataset.resolution * (s.h if s.velocity else 1.0)  # of the sensor, in position
+        least = max(given[f"{model.friction}.Fc"], 1e-9) / (BRISTLE_DEFLECTION * step)
+        damping = (3 * least * given["J"]) ** 0.5
+        values |= {f"{OWN_BRISTLES}.stiffness": 3 * least, f"{OWN_BRISTLES}.damping": damping}
+        if rigid:
+            free.append(
+                Free(
+                    f"{OWN_BRISTLES}.stiffness", least, 1e4 * least, True, math.log(3 * least), 1.0
+                )
+            )
+            free.append(
+                Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping)
+            )
+    for effect, own in model.effects.items():
+        values |= {f"{effect}.{name}": value for name, value in own.items()}
+        free += [] if effect in UNNAMED_TORQUES else _prior_around(effect, own)
+    servo = Servo(
+        model.friction,
+        tuple(model.effects),
+        tuple(model.bounds),
+        tuple(free),
+        fixed_values(s.h),
+        rigid,
+        limits(dataset),
+        credible(dataset),
+    )
+    return servo, values
+
+
+def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
+    """Give the free parameters of an effect that the model has already, each with a wide prior
+    around its value there.
+
+    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never
+    reached, stays fixed.
+    """
+    inactive = {
+        key
+        for key, value in effects()[effect].inactive_values.items()
+        if given[key.removeprefix(f"{effect}.")] == value
+    }
+    for f in free_parameters(
+        effect,
+        {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive},
+        {},
+    ):
+        value = given[f.name.removeprefix(f"{effect}.")]
+        nominal = math.log(value) if f.factor else value
+        yield (
+            replace(f, nominal=nominal, prior_sd=1.0 if f.factor else 2.0 * abs(value))
+            if value
+            else f
+        )
+
+
+def prepare_model(
+    model: Model, records: Sequence[Record], dataset: Dataset
+) -> tuple[Dataset, FittedModel, list[Finding]]:
+    """Return the records in segments that the model can follow, the model fitted to them, and
+    findings.
+
+    The simulation of a light servo in a stiff loop diverges from the measured motion as soon as
+    anything is missing, and its residual does not show what. Shorter segments prevent that.
+    """
+    usual = asked = dataset.segments.seconds
+    base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
+    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
+        asked /= 2
+        shorter = dataset_of(model, records, asked)
+        if shorter.segments.seconds < dataset.segments.seconds:
+            dataset, base = (
+                shorter,
+                fit_from_several_starts(shorter, *base_servo_of(model, shorter)),
+            )
+    seconds = dataset.segments.seconds
+    said = finding(Reason.SHORTER_SEGMENTS, usual=usual, seconds=seconds)
+    return dataset, base, [said] if seconds < usual else []
+
+
+def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
+    """Return the mean squared error of a servo as it is [output squared]; NaN if every simulation
+    of a segment fails.
+    """
+    s = dataset.segments
+    problem = Problem.of(s, white_noise(s.bins, 1.0), s.counted)
+    fit = evaluate(problem, FitPoint(servo.simulator(s), servo.free, dict(values), s.initial))
+    live = fit.weight > 0
+    return mean_square(fit, live) if live.any() else math.nan

@@ -1,0 +1,403 @@
+"""A model file proposed from measured files alone: which columns to take, and rough parameters from
+a regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from bristle.common.columns import Columns
+from bristle.common.errors import BristleError
+from bristle.common.table import Array, read_columns
+from bristle.common.units import interval
+from bristle.diagnosis.answer import Excitation, Finding, Line, Reason, finding
+from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.checks.plausibility import CLEARER_RATIO
+from bristle.diagnosis.checks.records import NEEDS
+from bristle.diagnosis.checks.torque_regression import (
+    Regression,
+    Rows,
+    explained_share,
+    regress,
+    regression_rows,
+)
+from bristle.diagnosis.modelfile import Model, own_unit
+from bristle.plant.servo import A2, J
+from bristle.records.choice import Candidate, Files, candidates, fitted
+from bristle.records.differences import are_differences
+from bristle.records.intake import distinct_files, records_of_tables
+from bristle.records.layout import Layout, LayoutTable, layout_of
+from bristle.records.record import Record
+
+KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
+BOUND_RATIO = 5.0  # a parameter may move by this factor either way
+GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
+LEVEL_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
+DIGITS = 3  # of a rough parameter
+# factor by which another pair must explain more than the one that the names propose
+BETTER_RATIO = 2.0
+# of two columns: they are one quantity, a reference and what follows it, and no input and output
+SAME_CORRELATION = 0.999
+MOST_PAIRS = 40  # pairs of input and output that are compared by regression
+# of the input: what its motion must explain of one that its name proposes, else all columns are
+# compared
+LEAST_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Rough:
+    """A rough parameter [SI]: value, standard error (None for a guess) and bounds."""
+
+    value: float
+    error: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What `propose` found.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        The measured files.
+    time, input, output : Candidate
+        What was chosen.
+    others : dict of str to tuple of Candidate
+        Other candidates for each of these roles, the likeliest first.
+    rough : dict of str to Rough
+        J, a2 and Fc; per unit of the input where this is a voltage or a current.
+    doubts : tuple of Finding or str
+        What could not be told and was assumed.
+    records : tuple of Record
+        The records, checked and repaired.
+    explained : float
+        Share of the input that J, a2 and Fc explain.
+    excited : Excitation
+        What the records excite, as a diagnosis reports it.
+    differences : bool
+        Whether the output is a velocity that is the difference of a position's readings; the
+        records hold that position then.
+    """
+
+    paths: tuple[Path, ...]
+    time: Candidate
+    input: Candidate
+    output: Candidate
+    others: Mapping[str, tuple[Candidate, ...]]
+    rough: Mapping[str, Rough]
+    doubts: tuple[Line, ...]
+    records: tuple[Record, ...]
+    explained: float
+    excited: Excitation
+    differences: bool
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Input and output as they may be, the records read so, and the share of the input that inertia
+    and friction explain.
+
+    `turned` is the share with the input's sign turned, and 0 where the input does work on the
+    servo: its sign is right then.
+    """
+
+    input: Candidate
+    output: Candidate
+    layout: Layout
+    records: list[Record]
+    rows: Rows | None
+    share: float
+    turned: float
+
+    @property
+    def best(self) -> float:
+        """The larger share."""
+        return max(self.share, self.turned)
+
+
+def propose(
+    paths: Path | str | Sequence[Path | str],
+    columns: Mapping[str, str | None] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Proposal:
+    """Propose a model file from measured files.
+
+    Parameters
+    ----------
+    paths : path or sequence of path
+        Measured files of one servo, with the same columns.
+    columns : mapping of str to str, optional
+        Columns that the user wants as "time", "input" or "output".
+    units : mapping of str to str, optional
+        Units of columns, by the name of the column.
+
+    Raises
+    ------
+    BristleError
+        One line, if the files cannot be read or nothing can be proposed.
+    """
+    listed = distinct_files(paths)
+    asked = {role: name for role, name in (columns or {}).items() if name is not None}
+    tables = {path: read_columns(path) for path in listed}
+    files = Files(tables, dict(units or {}))
+    if unknown := [name for name in files.units if name not in files.names]:
+        raise BristleError(
+            f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
+            f" {', '.join(files.names[:20])}"
+        )
+    times = candidates(files, "time", asked.get("time"))
+    taken = {role: name for role, name in asked.items() if role != "time"} | {
+        "time": times[0].column.column
+    }
+    inputs, outputs = (
+        candidates(
+            files, role, asked.get(role), [name for other, name in taken.items() if other != role]
+        )
+        for role in ("input", "output")
+    )
+    best, doubts = _best(tables, times[0], inputs, outputs)
+    best, sign_doubt = _with_sign(best)
+    rough, rough_doubts = _rough(best)
+    others = {
+        "time": tuple(times[1:]),
+        "input": _other(inputs, best.input),
+        "output": _other(outputs, best.output),
+    }
+    model = model_of(best.layout, rough)
+    doubted: list[Line] = [
+        *times[0].doubts,
+        *best.input.doubts,
+        *best.output.doubts,
+        *doubts,
+        *sign_doubt,
+        *rough_doubts,
+        *_one_sign(best),
+    ]
+    return Proposal(
+        tuple(listed),
+        times[0],
+        best.input,
+        best.output,
+        others,
+        rough,
+        tuple(_distinct(doubted)),
+        tuple(best.records),
+        best.share,
+        excitation(model, best.records),
+        best.layout.differences,
+    )
+
+
+def _distinct(lines: Sequence[Line]) -> list[Line]:
+    """Return each line once."""
+    return [line for k, line in enumerate(lines) if line not in lines[:k]]
+
+
+def _other(found: Sequence[Candidate], chosen: Candidate) -> tuple[Candidate, ...]:
+    """Return the candidates of other columns, each column once."""
+    names = {chosen.column.column: chosen}
+    for each in found:
+        names.setdefault(each.column.column, each)
+    return tuple(names.values())[1:]
+
+
+def model_of(layout: Layout, rough: Mapping[str, Rough]) -> Model:
+    """Return the model of a proposal."""
+    values = {name: each.value for name, each in rough.items()}
+    bounds = {name: (each.low, each.high) for name, each in rough.items()}
+    full = {"Fc": "coulomb.Fc"}
+    gain = {} if layout.input_kind in ("torque", "force") else {"b": 1.0}
+    return Model(
+        friction="coulomb",
+        parameters={full.get(name, name): x for name, x in values.items()} | gain,
+        bounds={full.get(name, name): ends for name, ends in bounds.items()},
+        **vars(layout),
+    )
+
+
+# -- which columns ---------------------------------------------------------------------------------
+def _best(
+    tables: Mapping[Path, Columns],
+    time: Candidate,
+    inputs: Sequence[Candidate],
+    outputs: Sequence[Candidate],
+) -> tuple[_Reading, list[Finding]]:
+    """Return the likeliest pair by name and, among equal ones, by the share of the torque that it
+    explains.
+    """
+    first = [each for each in inputs if each.rank == inputs[0].rank]
+    last = [each for each in outputs if each.rank == outputs[0].rank]
+    readings = _readings(tables, time, first, last)
+    if readings[0].best < LEAST_SHARE and (len(first) < len(inputs) or len(last) < len(outputs)):
+        others = _readings(tables, time, inputs, outputs)
+        readings = others if others[0].best > BETTER_RATIO * readings[0].best else readings
+    best, doubts = readings[0], []
+    for role in ("input", "output"):
+        chosen = getattr(best, role).column.column
+        rivals: dict[str, float] = {}
+        for each in readings[1:]:
+            name = getattr(each, role).column.column
+            if name != chosen:
+                rivals.setdefault(name, each.best)
+        if rivals:
+            name, share = next(iter(rivals.items()))
+            seen = {"explained": best.best, "other": name, "other_explained": share}
+            which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
+            doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
+    if best.best < LEAST_SHARE:
+        doubts.append(finding(Reason.UNEXPLAINED_INPUT, explained=best.best))
+    return best, doubts
+
+
+def _readings(
+    tables: Mapping[Path, Columns],
+    time: Candidate,
+    inputs: Sequence[Candidate],
+    outputs: Sequence[Candidate],
+) -> list[_Reading]:
+    """Return the readings of all pairs that can be records, the one that explains most first."""
+    readings, problem = [], None
+    same = _same_quantity(tables)
+    pairs = [
+        (u, y) for u, y in product(inputs, outputs) if not same(u.column.column, y.column.column)
+    ]
+    for u, y in pairs[:MOST_PAIRS]:
+        try:
+            readings.append(_reading(tables, time, u, y))
+        except BristleError as error:
+            problem = problem or error
+    if not readings:
+        name = inputs[0].column.column
+        raise problem or BristleError(
+            f"'{name}' is the only column for input and output; name the columns of both"
+        )
+    return sorted(readings, key=lambda each: -each.best)
+
+
+def _same_quantity(tables: Mapping[Path, Columns]) -> Callable[[str, str], bool]:
+    """Return what tells whether two columns hold the same quantity."""
+
+    def same(one: str, other: str) -> bool:
+        if one == other:
+            return True
+        both = np.column_stack(
+            [np.concatenate([table[name] for table in tables.values()]) for name in (one, other)]
+        )
+        both = both[np.isfinite(both).all(axis=1)]
+        return bool(abs(np.corrcoef(both.T)[0, 1]) > SAME_CORRELATION)
+
+    return same
+
+
+def _reading(
+    tables: Mapping[Path, Columns], time: Candidate, u: Candidate, y: Candidate
+) -> _Reading:
+    u = fitted(u, y.linear)
+    layout = _layout(time, u, y)
+    records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
+    if layout.output_kind == "velocity" and all(
+        are_differences(r.y, r.resolution) for r in records
+    ):
+        layout = replace(layout, output_kind="position", differences=True)
+        records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
+    rows = regression_rows([(r.u, r.y) for r in records], records, layout.output_kind == "velocity")
+    if rows is None:
+        return _Reading(u, y, layout, records, rows, 0.0, 0.0)
+    # a reference follows its position: with free terms of the position, that would pass for a
+    # torque
+    plain = replace(rows, free=rows.free[:, :1])
+    work = float(rows.torque @ rows.core[:, 1])
+    turned = explained_share(plain, -1.0)[0] if work < 0.0 else 0.0
+    return _Reading(u, y, layout, records, rows, explained_share(plain)[0], turned)
+
+
+def _layout(time: Candidate, u: Candidate, y: Candidate) -> Layout:
+    tree = {
+        "time": time.column.model_dump(),
+        "input": u.column.model_dump() | {"kind": u.kind},
+        "output": y.column.model_dump() | {"kind": y.kind},
+    }
+    return layout_of(LayoutTable.model_validate(tree), "proposal")
+
+
+def _with_sign(reading: _Reading) -> tuple[_Reading, list[Finding]]:
+    """Return a reading with the input's sign turned if it acts against its direction."""
+    if not (reading.turned > 0.0 and 1.0 - reading.share > CLEARER_RATIO * (1.0 - reading.turned)):
+        return reading, []
+    column = reading.input.column
+    number, _, unit = (column.scale or "1").partition(" ")
+    scale = f"{-float(number):g} {unit}".strip()
+    turned = replace(reading.input, column=column.model_copy(update={"scale": scale}))
+    records = [replace(record, u=-record.u) for record in reading.records]
+    layout = replace(reading.layout, input=turned.column)
+    rows = None if reading.rows is None else replace(reading.rows, torque=-reading.rows.torque)
+    return replace(
+        reading,
+        input=turned,
+        layout=layout,
+        records=records,
+        rows=rows,
+        share=reading.turned,
+        turned=0.0,
+    ), [finding(Reason.SIGN_TURNED, column=column.column)]
+
+
+def _one_sign(reading: _Reading) -> list[Finding]:
+    """Return a doubt about a speed that may have lost its sign."""
+    y, u = (np.concatenate([getattr(r, name) for r in reading.records]) for name in ("y", "u"))
+    if reading.output.kind != "velocity" or np.min(y) < 0.0 or not np.min(u) < 0.0 < np.max(u):
+        return []
+    name = reading.output.column.column
+    return [finding(Reason.NEVER_NEGATIVE, column=name)]
+
+
+# -- rough parameters ------------------------------------------------------------------------------
+def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
+    """Return rough parameters with bounds, and what the records do not show."""
+    if reading.rows is None:
+        raise BristleError(
+            "too little motion in these records for a regression; record steps of several sizes and"
+            " slow motion"
+        )
+    found: Regression = regress(reading.rows)
+    torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
+    scale = found.rows.scale  # rms of acceleration, speed and direction
+    positive = explained_share(replace(found.rows, free=found.rows.free[:, :0]))[1]
+    known = found.known(KNOWN_ERRORS)
+    rough, doubts = {}, []
+    for k, name in enumerate(("J", "a2", "Fc")):
+        value = found.value[k] if known[k] else positive[k]
+        most = LEVEL_SHARE * torque / float(scale[k])
+        if name == "J" and not (known[k] and value > 0.0):
+            value = value if value > 0.0 else min(most, max(found.error[k], 1e-3 * most))
+            rough[name] = Rough(
+                _rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO)
+            )
+            doubts.append(finding(Reason.GUESSED_INERTIA))
+            continue
+        error = float(found.error[k]) if known[k] else None
+        value = _rounded(max(value, 0.0))
+        low = _rounded(value / BOUND_RATIO) if name == "J" else 0.0
+        rough[name] = Rough(
+            value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most))
+        )
+    for name, parameter in (("J", J), ("a2", A2)):
+        if not parameter.minimum <= rough[name].value <= parameter.maximum:
+            unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)
+            seen = f"{name} comes out at {rough[name].value:g} {unit}"
+            allowed = interval(parameter.minimum, parameter.maximum)
+            raise BristleError(f"{seen}, allowed {allowed}; give the right units of the columns")
+    return rough, doubts
+
+
+def _rounded(value: float | Array) -> float:
+    """Return a value with a few digits."""
+    return float(f"{float(value):.{DIGITS}g}") if math.isfinite(value) else 0.0

@@ -1,0 +1,195 @@
+"""A proposal as a commented model file, and as lines for the reader."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import tomllib
+from pathlib import Path
+
+from bristle.common.errors import BristleError
+from bristle.common.output import output_folder, replace_file
+from bristle.common.toml import quoted
+from bristle.common.units import parse_unit
+from bristle.diagnosis.init.proposal import Proposal
+from bristle.diagnosis.modelfile import Model, own_unit
+from bristle.diagnosis.report.text.said import said
+from bristle.model.variables import Parameter
+from bristle.plant.friction import law
+from bristle.plant.servo import A2, B, J
+from bristle.records.choice import Candidate
+from bristle.records.layout import INPUT_UNITS
+
+WIDTH = 26  # letters before a comment
+
+
+def _declared() -> dict[str, Parameter]:
+    """Return the parameters of the proposed model."""
+    return {"J": J, "a2": A2, **{p.name.rpartition(".")[2]: p for p in law("coulomb").parameters}}
+
+
+def resolution_of(found: Proposal) -> tuple[float, str] | None:
+    """Return the step that the output shows, in SI and as text in the unit of its column; None if
+    it shows none.
+    """
+    step = max((record.resolution or 0.0 for record in found.records), default=0.0)
+    if not step:
+        return None
+    unit = parse_unit(found.output.column.unit)
+    scale = found.output.column.scale
+    number, _, over = (scale or "1 1").partition(" ")
+    factor = abs(unit.factor * float(number) * parse_unit(over or "1").factor)
+    return step, f"{step / factor:.6g}"
+
+
+def model_text(found: Proposal, command: str) -> str:
+    """Return the model file; `command` is what to do with it next."""
+    linear, kind = found.output.linear, found.input.kind
+    gain, declared = kind in ("voltage", "current"), _declared()
+    lines = [
+        (
+            f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check"
+            " what is assumed:"
+        ),
+        *(f"#   - {said(line)}" for line in found.doubts or ("nothing",)),
+        f"# Next: {command}",
+        "",
+        _with('friction = "coulomb"', "bristle list names other friction laws"),
+        "",
+        _with(
+            "[parameters]",
+            "rough, from a regression of the input; any effect that is missing biases it",
+        ),
+    ]
+    for name, rough in found.rough.items():
+        about = (
+            f"+- {rough.error:.2g}"
+            if rough.error is not None
+            else "a guess"
+            if name == "J"
+            else "not shown by these records"
+        )
+        per = f" for b = 1 {own_unit(B, linear, kind)}" if gain else ""
+        lines.append(
+            _with(
+                f"{name} = {rough.value!r}",
+                f"{own_unit(declared[name], linear, kind)}{per}, {about}:"
+                f" {declared[name].description}",
+            )
+        )
+    if gain:
+        unit = own_unit(B, linear, kind)
+        about = (
+            f"{unit}: not shown by input and output; if you know it, multiply J, a2, Fc and their"
+            " bounds by it"
+        )
+        lines.append(_with("b = 1.0", about))
+    lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
+    lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
+    for role in ("time", "input", "output"):
+        candidate: Candidate = getattr(found, role)
+        lines += ["", f"[{role}]", *_declaration(candidate)]
+        if role == "output" and found.differences:
+            lines.append(
+                _with("differences = true", "of the readings of a position: it is summed to that")
+            )
+        elif role == "output":
+            shown = resolution_of(found)
+            lines.append(
+                f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps"
+            )
+        for other in found.others[role]:
+            lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
+    return "\n".join(lines) + "\n"
+
+
+def next_command(found: Proposal, out: Path) -> str:
+    """Return the command that diagnoses the records with the model file."""
+    return shlex.join(["bristle", "diagnose", str(out), "--data", *map(str, found.paths)])
+
+
+def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
+    """Write the model file, whole or not at all; `BristleError` if it exists and is not to be
+    replaced.
+    """
+    if out.suffix.lower() != ".toml":
+        raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
+    if out.is_dir() or (os.path.lexists(out) and not replace_it):
+        raise BristleError(f"{out}: exists already; give another name, or allow it to be replaced")
+    text = model_text(found, next_command(found, out))
+    Model.from_dict(tomllib.loads(text), out)
+    with output_folder(out.parent):
+        replace_file(out, text.encode())
+
+
+def _with(line: str, comment: str) -> str:
+    return f"{line:<{WIDTH - 1}} # {comment}"
+
+
+def _declaration(candidate: Candidate) -> list[str]:
+    column = candidate.column
+    lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
+    if column.scale is not None:
+        lines.append(_with(f"scale = {quoted(column.scale)}", "what one of the unit is worth"))
+    others = (
+        "torque, force, voltage or current"
+        if candidate.kind in INPUT_UNITS
+        else "position or velocity"
+    )
+    return (
+        lines
+        if candidate.kind == "time"
+        else [*lines, _with(f"kind = {quoted(candidate.kind)}", others)]
+    )
+
+
+def summary(found: Proposal) -> list[str]:
+    """Return what was chosen, what the records excite and what is not certain, for a terminal."""
+    x, first = found.excited.numbers, found.records[0]
+    linear = found.output.linear
+    shown = resolution_of(found)
+    steps = f", in steps of {shown[1]}" if shown else ", without steps"
+    steps = (
+        ", as differences of a position's readings: it is summed to that"
+        if found.differences
+        else steps
+    )
+    lines = [
+        f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms{_or(found, 'time')}",
+        f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",
+        f"output  {_of(found.output)}, {found.output.kind}{steps}{_or(found, 'output')}",
+    ]
+    units = _declared()
+    values = ", ".join(
+        f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}"
+        for n, r in found.rough.items()
+    )
+    per = (
+        ""
+        if found.input.kind in ("torque", "force")
+        else f", for b = 1 {own_unit(B, linear, found.input.kind)}"
+    )
+    lines.append(f"rough   {values}{per}; they explain {found.explained:.0%} of the input")
+    length = "m" if linear else "rad"
+    speed, band = x["speed_range"], x["input_bandwidth"]["value"]
+    lines.append(
+        f"excited {x['duration']['value']:.3g} s; speed {speed['lowest']:.3g} to"
+        f" {speed['highest']:.3g} {length}/s, range {x['range_travelled']['value']:.3g} {length},"
+        f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
+    )
+    notes = [*found.doubts, *(line for record in found.records for line in record.findings)]
+    if found.excited.uniform:
+        why = said(found.excited.uniform)
+        notes.append(f"these records cannot tell effects apart by form: {why}")
+    return [*lines, *(f"  - {said(line)}" for line in (*notes, *found.excited.caveats))]
+
+
+def _or(found: Proposal, role: str) -> str:
+    """Return the other columns that may have a role."""
+    names = [f"'{each.column.column}'" for each in found.others[role]]
+    return f" (or {', '.join(names)})" if names else ""
+
+
+def _of(candidate: Candidate) -> str:
+    column = candidate.column
+    return f"'{column.column}' in {column.unit}" + (f" x {column.scale}" if column.scale else "")
