@@ -8,8 +8,9 @@ A mutant is one change of the code of a room, drawn evenly from all that there a
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
 for a line that is run by none, other lines of its file) run against it: a share of the sampled
-tests, without the slow ones and with them, and if that passes, all tests. A clone is made and its
-lines are recorded once, with the tests of one share. Tests that fail without a mutant do not count.
+tests, without the slow ones and with them, and if that passes, all tests. The clone is made and its
+lines are recorded once, with the tests of one share: remove build/mutants to begin with another
+commit. Tests that fail without a mutant do not count.
 """
 
 from __future__ import annotations
@@ -228,14 +229,14 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
     content = file.read_bytes()
     files = tests_of(mutant, known["lines"])
     options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"]), *files]
-    stages = {
+    stages: dict[str, list[tuple[str, ...]]] = {
         "default": [("--share", share, "-m", "not slow"), ("--share", share, "-m", "slow")],
         "all": [("--all",)],
     }
     try:
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
-        for name, runs in stages.items() if files else ():
+        for name, runs in stages.items() if files else []:
             for run in runs:
                 code, failed = tested(*run, *options)
                 if code not in (0, NOTHING_RAN):

@@ -20,7 +20,7 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.model.compiler import FLAGS_VARIABLE
 
-ONE_SLOW_IN = 4  # of the slow tests of a file, a share has one in so many
+ONE_SLOW_IN = 8  # of the slow tests of a file, a share has one in so many
 SCENARIO = """
 duration = "1 s"
 [plant]

@@ -324,7 +324,7 @@ def extremes():
     }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_no_output_is_ever_anything_but_a_number(method):
     program = observer_program(method)

@@ -113,7 +113,7 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method, names):
     assert wrong > 0.04
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_method_reads_only_its_declared_output(method):
     data = record(5.0)
