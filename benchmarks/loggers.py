@@ -29,7 +29,8 @@ from scene import Scene, draw_scene
 from truth import COUNTS, PERIOD, Record
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.init.proposal import Proposal, propose
+from bristle.diagnosis.answer import Proposal
+from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.report.proposed_model import resolution_of, write_model
 
 Array = NDArray[np.float64]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -18,6 +19,8 @@ from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.unnamed_torque import UNNAMED_KNOTS
+from bristle.records.choice import Candidate
+from bristle.records.record import Record
 
 # from the strength of an effect to an end of its interval, over the strength, which must be less
 STRENGTH_HALF_WIDTH = 0.5
@@ -883,3 +886,54 @@ class Validation(_Written):
     def to_dict(self) -> dict[str, Any]:
         """Return what validation.json holds: plain numbers, lists and text, no NaN."""
         return self.writer.content(self)
+
+
+# -- a proposed model file -------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Rough:
+    """A rough parameter [SI]: value, standard error (None for a guess) and bounds."""
+
+    value: float
+    error: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What `propose` found.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        The measured files.
+    time, input, output : Candidate
+        What was chosen.
+    others : dict of str to tuple of Candidate
+        Other candidates for each of these roles, the likeliest first.
+    rough : dict of str to Rough
+        J, a2 and Fc; per unit of the input where this is a voltage or a current.
+    doubts : tuple of Finding or str
+        What could not be told and was assumed.
+    records : tuple of Record
+        The records, checked and repaired.
+    explained : float
+        Share of the input that J, a2 and Fc explain.
+    excited : Excitation
+        What the records excite, as a diagnosis reports it.
+    differences : bool
+        Whether the output is a velocity that is the difference of a position's readings; the
+        records hold that position then.
+    """
+
+    paths: tuple[Path, ...]
+    time: Candidate
+    input: Candidate
+    output: Candidate
+    others: Mapping[str, tuple[Candidate, ...]]
+    rough: Mapping[str, Rough]
+    doubts: tuple[Line, ...]
+    records: tuple[Record, ...]
+    explained: float
+    excited: Excitation
+    differences: bool

@@ -52,29 +52,22 @@ def _acceleration(
     """
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
+    # what depends on the past, or on another inertia, is no function of the motion
     hidden = set(system.states) - {"theta", "v"}
-    if (
-        hidden
-        or system.before
-        or system.after
-        or system.modes
-        or any(e.output or e.coupling for e in members)
-    ):
+    memory = hidden or system.before or system.after or system.modes
+    if memory or any(e.output or e.coupling for e in members):
         raise NotStaticError
     rate, v = system.rates["v"], system.symbols["v"]
-    if system.dry is not None:
-        backward = system.dry.bound if system.dry.backward is None else system.dry.backward
-        rate = rate - ca.if_else(v > 0, system.dry.bound, -backward) / system.dry.inertia
-    names = tuple(system.parameters)
-    inputs = [system.symbols[name] if name != "time" else system.time for name in BALANCE_INPUTS]
-    given = [system.symbols[name] for name in names]
-    still = {"tau_load": 0.0, "load_scale": 1.0}
-    rate = ca.substitute(
-        system.expand(rate),
-        ca.vertcat(*(system.symbols[name] for name in still)),
-        ca.DM(list(still.values())),
-    )
-    both = ca.vertcat(rate, *(ca.jacobian(rate, system.symbols[name]) for name in free))
+    if (dry := system.dry) is not None:
+        backward = dry.bound if dry.backward is None else dry.backward
+        rate = rate - ca.if_else(v > 0, dry.bound, -backward) / dry.inertia
+    # as a function of motion and parameters, without a load
+    names, symbols = tuple(system.parameters), system.symbols | {"time": system.time}
+    inputs = [symbols[name] for name in BALANCE_INPUTS]
+    given = [symbols[name] for name in names]
+    load = ca.vertcat(symbols["tau_load"], symbols["load_scale"])
+    rate = ca.substitute(system.expand(rate), load, ca.DM([0.0, 1.0]))
+    both = ca.vertcat(rate, *(ca.jacobian(rate, symbols[name]) for name in free))
     return for_arrays(
         ca.Function("balance", [ca.vertcat(*inputs, *given)], ca.cse([ca.densify(both)]))
     ), names

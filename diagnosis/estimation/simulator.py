@@ -115,11 +115,17 @@ class Simulator:
         self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)
         known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
-        for name, value in known.items():
-            if name in program.index:
-                self._v[program.index[name]] = value
-                states = list(program.variants[program.chosen].system.states)
-        chosen = ["v"] if segments.velocity else ["theta", "v"]
+        for name in known.keys() & program.index.keys():
+            self._v[program.index[name]] = known[name]
+        self._u = np.concatenate([piece.u for piece in segments.pieces])
+        self._observed = program.index["v" if segments.velocity else "theta"]
+        self._place_starts(list(program.variants[program.chosen].system.states))
+
+    def _place_starts(self, states: Sequence[str]) -> None:
+        """Find where the initial states of a segment go among those of the program."""
+        velocity = self.segments.velocity
+        # what is set itself, and what follows it
+        chosen = ["v"] if velocity else ["theta", "v"]
         follow = [LEADERS.get(name, "") for name in states]
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
         self._column = np.array(
@@ -128,18 +134,14 @@ class Simulator:
         self._leader = np.array(
             [chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32
         )
-        self._chosen = slice(1 if segments.velocity else 0, self.width)
-        pairs = (
-            [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()]
-            if self.play
-            else []
-        )
+        self._chosen = slice(1 if velocity else 0, self.width)
+        # a load with free play lags behind its motor
+        leaders = LEADERS if self.play else {}
+        pairs = [(states.index(load), states.index(motor)) for load, motor in leaders.items()]
         self._load, self._motor = (
             np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1)
         )
         self._lag = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
-        self._u = np.concatenate([piece.u for piece in segments.pieces])
-        self._observed = program.index["v" if segments.velocity else "theta"]
 
     def over(self, segments: Segments) -> Simulator:
         """Return the same over other segments of the same sampling period and output."""

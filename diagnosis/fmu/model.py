@@ -4,6 +4,7 @@ given beside it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,39 +46,42 @@ def fmu_model(path: Path) -> Model:
             raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
     if not {"theta", "v"} & outputs:
         raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
-    law = chosen or next(
-        (name for name in law_names() if any(start.startswith(f"{name}.") for start in starts)),
-        "viscous",
-    )
-    found: dict[str, dict[str, float]] = {}
-    for effect in effects():
-        own = {
-            name.removeprefix(f"{effect}."): x
-            for name, x in starts.items()
-            if name.startswith(f"{effect}.")
-        }
-        found |= {effect: own} if own else {}
-    parameters = {
-        name: x for name, x in starts.items() if name in gained or name.startswith(f"{law}.")
-    }
-    shown = "theta" if "theta" in outputs else "v"
-    linear = fmu.unit(shown).startswith("m")
-    output: dict[str, Any] = {
-        "column": "theta",
-        "kind": "position",
-        "unit": "m" if linear else "rad",
-    }
-    if shown == "v":
-        output = {"column": "v", "kind": "velocity", "unit": "m/s" if linear else "rad/s"}
+    law = chosen or _law_of(starts)
     tree = {
         "friction": law,
-        "parameters": parameters,
-        "effects": found,
-        "output": output,
+        "parameters": {
+            name: x for name, x in starts.items() if name in gained or name.startswith(f"{law}.")
+        },
+        "effects": _effects_of(starts),
+        "output": _output_of(fmu, "theta" if "theta" in outputs else "v"),
         "time": {"column": "t", "unit": "s"},
         "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS[kind]},
     }
     return Model.from_dict(tree, f"FMU {path}")
+
+
+def _law_of(starts: Mapping[str, float]) -> str:
+    """Return the first law that the FMU has a parameter of."""
+    owners = {name.partition(".")[0] for name in starts if "." in name}
+    return next((name for name in law_names() if name in owners), "viscous")
+
+
+def _effects_of(starts: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return the effects that the FMU has parameters of, with these."""
+    found: dict[str, dict[str, float]] = {}
+    for name, x in starts.items():
+        effect, _, parameter = name.partition(".")
+        if parameter and effect in effects():
+            found.setdefault(effect, {})[parameter] = x
+    return {effect: found[effect] for effect in effects() if effect in found}
+
+
+def _output_of(fmu: Fmu, shown: str) -> dict[str, Any]:
+    """Return what the records hold of an output."""
+    linear = fmu.unit(shown).startswith("m")
+    if shown == "v":
+        return {"column": "v", "kind": "velocity", "unit": "m/s" if linear else "rad/s"}
+    return {"column": "theta", "kind": "position", "unit": "m" if linear else "rad"}
 
 
 def _read(path: Path) -> tuple[dict[str, float], set[str], str | None]:

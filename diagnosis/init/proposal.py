@@ -16,7 +16,7 @@ from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, read_columns
 from bristle.common.units import interval
-from bristle.diagnosis.answer import Excitation, Finding, Line, Reason, finding
+from bristle.diagnosis.answer import Finding, Line, Proposal, Reason, Rough, finding
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import CLEARER_RATIO
 from bristle.diagnosis.checks.records import NEEDS
@@ -48,56 +48,6 @@ MOST_PAIRS = 40  # pairs of input and output that are compared by regression
 # of the input: what its motion must explain of one that its name proposes, else all columns are
 # compared
 LEAST_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class Rough:
-    """A rough parameter [SI]: value, standard error (None for a guess) and bounds."""
-
-    value: float
-    error: float | None
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """What `propose` found.
-
-    Attributes
-    ----------
-    paths : tuple of Path
-        The measured files.
-    time, input, output : Candidate
-        What was chosen.
-    others : dict of str to tuple of Candidate
-        Other candidates for each of these roles, the likeliest first.
-    rough : dict of str to Rough
-        J, a2 and Fc; per unit of the input where this is a voltage or a current.
-    doubts : tuple of Finding or str
-        What could not be told and was assumed.
-    records : tuple of Record
-        The records, checked and repaired.
-    explained : float
-        Share of the input that J, a2 and Fc explain.
-    excited : Excitation
-        What the records excite, as a diagnosis reports it.
-    differences : bool
-        Whether the output is a velocity that is the difference of a position's readings; the
-        records hold that position then.
-    """
-
-    paths: tuple[Path, ...]
-    time: Candidate
-    input: Candidate
-    output: Candidate
-    others: Mapping[str, tuple[Candidate, ...]]
-    rough: Mapping[str, Rough]
-    doubts: tuple[Line, ...]
-    records: tuple[Record, ...]
-    explained: float
-    excited: Excitation
-    differences: bool
 
 
 @dataclass(frozen=True)
@@ -392,9 +342,11 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     for name, parameter in (("J", J), ("a2", A2)):
         if not parameter.minimum <= rough[name].value <= parameter.maximum:
             unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)
-            seen = f"{name} comes out at {rough[name].value:g} {unit}"
             allowed = interval(parameter.minimum, parameter.maximum)
-            raise BristleError(f"{seen}, allowed {allowed}; give the right units of the columns")
+            raise BristleError(
+                f"{name} comes out at {rough[name].value:g} {unit}, allowed {allowed}; give the"
+                " right units of the columns"
+            )
     return rough, doubts
 
 

@@ -47,6 +47,12 @@ class FinalModel:
         return any(find_effect(name).coupling for name in self.named)
 
     @property
+    def waves(self) -> list[float]:
+        """How often the named effects that repeat do so along the path."""
+        periods = (periods_of(name, self.values, self.turn) for name in self.named)
+        return [each for each in periods if each is not None]
+
+    @property
     def ineffective(self) -> bool:
         """Whether effects were named that do not lower the error on held-out segments, although
         they act in all of them.
@@ -63,32 +69,25 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
     something else, and evidence in that view alone is enough. Where nothing is named and the fit
     needs a large disturbance, there is more to it, whether a view shows it or not.
     """
-    seen = [
-        each
-        for each in shares
-        if each.view not in SENSOR_VIEWS and not (model.free_play and each.view == OUTLIERS)
-    ]
-    waves = [
-        periods
-        for name in model.named
-        if (periods := periods_of(name, model.values, model.turn)) is not None
-    ]
+    unseen = (*SENSOR_VIEWS, OUTLIERS) if model.free_play else SENSOR_VIEWS
+    seen = [each for each in shares if each.view not in unseen]
     if model.ineffective:
         return Unexplained(True, seen[0].view, seen[0].share, model.disturbance, seen[0].label)
+    # what is certain, and the first of it that is large and no form of what is named
     certain = []
     for share in seen:
-        same = any(is_same(share.periods, wave) for wave in waves)
+        same = any(is_same(share.periods, wave) for wave in model.waves)
         if not (share.p <= CERTAIN_P or (same and share.alone <= VIEW_ALONE_P)):
             continue
         certain.append(share)
-        if _is_large(share, model, same) and not any(
-            is_form(share.periods, wave) for wave in waves
-        ):
+        form = any(is_form(share.periods, wave) for wave in model.waves)
+        if _is_large(share, model, same) and not form:
             return Unexplained(True, share.view, share.share, model.disturbance, share.label)
-    first = (certain or shares)[0]
-    view, label = (first.view, first.label) if certain else (None, "")
+    # else the largest share that is certain, or that of no view
     flag = not model.named and model.disturbance > LARGE_DISTURBANCE
-    return Unexplained(flag, view, first.share, model.disturbance, label)
+    if not certain:
+        return Unexplained(flag, None, shares[0].share, model.disturbance)
+    return Unexplained(flag, certain[0].view, certain[0].share, model.disturbance, certain[0].label)
 
 
 def _is_large(share: Share, model: FinalModel, same: bool) -> bool:

@@ -11,7 +11,7 @@ from bristle.common.errors import BristleError
 from bristle.common.output import output_folder, replace_file
 from bristle.common.toml import quoted
 from bristle.common.units import parse_unit
-from bristle.diagnosis.init.proposal import Proposal
+from bristle.diagnosis.answer import Proposal
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.diagnosis.report.text.said import said
 from bristle.model.variables import Parameter
@@ -44,8 +44,6 @@ def resolution_of(found: Proposal) -> tuple[float, str] | None:
 
 def model_text(found: Proposal, command: str) -> str:
     """Return the model file; `command` is what to do with it next."""
-    linear, kind = found.output.linear, found.input.kind
-    gain, declared = kind in ("voltage", "current"), _declared()
     lines = [
         (
             f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check"
@@ -61,6 +59,22 @@ def model_text(found: Proposal, command: str) -> str:
             "rough, from a regression of the input; any effect that is missing biases it",
         ),
     ]
+    lines += _parameter_lines(found)
+    lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
+    lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
+    for role in ("time", "input", "output"):
+        candidate: Candidate = getattr(found, role)
+        lines += ["", f"[{role}]", *_declaration(candidate)]
+        lines += [_sensor_line(found)] if role == "output" else []
+        for other in found.others[role]:
+            lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
+    return "\n".join(lines) + "\n"
+
+
+def _parameter_lines(found: Proposal) -> list[str]:
+    """Return a line for each rough parameter, with its unit and what is known of it."""
+    linear, kind = found.output.linear, found.input.kind
+    gain, declared, lines = kind in ("voltage", "current"), _declared(), []
     for name, rough in found.rough.items():
         about = (
             f"+- {rough.error:.2g}"
@@ -84,23 +98,15 @@ def model_text(found: Proposal, command: str) -> str:
             " bounds by it"
         )
         lines.append(_with("b = 1.0", about))
-    lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
-    lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
-    for role in ("time", "input", "output"):
-        candidate: Candidate = getattr(found, role)
-        lines += ["", f"[{role}]", *_declaration(candidate)]
-        if role == "output" and found.differences:
-            lines.append(
-                _with("differences = true", "of the readings of a position: it is summed to that")
-            )
-        elif role == "output":
-            shown = resolution_of(found)
-            lines.append(
-                f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps"
-            )
-        for other in found.others[role]:
-            lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def _sensor_line(found: Proposal) -> str:
+    """Return what is declared of the output's steps."""
+    if found.differences:
+        return _with("differences = true", "of the readings of a position: it is summed to that")
+    shown = resolution_of(found)
+    return f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps"
 
 
 def next_command(found: Proposal, out: Path) -> str:

@@ -560,6 +560,46 @@ _SEEN: dict[str, Callable[[Diagnosis], str]] = {
 }
 
 
+def _later_captions(torque: str, refitted: str) -> dict[str, tuple[str, str]]:
+    """Return title and caption of the figures of an unnamed torque, of candidates and of whole
+    records; `refitted`: what is said of a refit to these.
+    """
+    return {
+        "unnamed": (
+            f"Unnamed {torque}",
+            (
+                f"What is left unexplained, as a {torque} that is a smooth function of one variable"
+                " (or a sum of two), with its 95 % band. Fitted to the segments that are not held"
+                " out; it says nothing about a cause, and holds only in the range drawn."
+            ),
+        ),
+        "candidates": (
+            "Gain of each candidate effect",
+            (
+                "Rise of the log-likelihood when the effect is added and all parameters are"
+                f" refitted, in nats ({NATS}). Shaded up to the dashed line: gains that chance may"
+                " give where no effect is missing. Blue: added; orange: tied; pale: neither."
+            ),
+        ),
+        "open_loop": (
+            "Whole records in open loop",
+            (
+                "The record that the model follows worst, simulated from its start to its end with"
+                f" nothing but the input{refitted}. Only the position and the velocity at the start"
+                " are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of"
+                " the output from its mean."
+            ),
+        ),
+        "horizons": (
+            "Error against horizon",
+            (
+                "The rms error over all records, simulated anew, with a fitted start, after so many"
+                " seconds; the last point is that of whole records."
+            ),
+        ),
+    }
+
+
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
     both, torque = improved(diagnosis), diagnosis.model.wording.torque
@@ -604,36 +644,5 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
                 " as much by chance."
             ),
         ),
-        "unnamed": (
-            f"Unnamed {torque}",
-            (
-                f"What is left unexplained, as a {torque} that is a smooth function of one variable"
-                " (or a sum of two), with its 95 % band. Fitted to the segments that are not held"
-                " out; it says nothing about a cause, and holds only in the range drawn."
-            ),
-        ),
-        "candidates": (
-            "Gain of each candidate effect",
-            (
-                "Rise of the log-likelihood when the effect is added and all parameters are"
-                f" refitted, in nats ({NATS}). Shaded up to the dashed line: gains that chance may"
-                " give where no effect is missing. Blue: added; orange: tied; pale: neither."
-            ),
-        ),
-        "open_loop": (
-            "Whole records in open loop",
-            (
-                "The record that the model follows worst, simulated from its start to its end with"
-                f" nothing but the input{refitted}. Only the position and the velocity at the start"
-                " are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of"
-                " the output from its mean."
-            ),
-        ),
-        "horizons": (
-            "Error against horizon",
-            (
-                "The rms error over all records, simulated anew, with a fitted start, after so many"
-                " seconds; the last point is that of whole records."
-            ),
-        ),
+        **_later_captions(torque, refitted),
     }
