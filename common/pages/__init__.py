@@ -30,6 +30,11 @@ def render(template: str, **data: object) -> str:
     return _environment().get_template(template).render(data)
 
 
+def load(template: str) -> None:
+    """Compile a template before it is needed."""
+    _environment().get_template(template)
+
+
 def component(name: str, *arguments: object) -> Markup:
     """Return what a macro of `components.html` makes of its arguments."""
     return Markup(getattr(_environment().get_template("components.html").module, name)(*arguments))
