@@ -110,7 +110,8 @@ def coupling(
                 "record", None, "a measured record couples nothing; give a scenario with a [plant]"
             )
         found = compare(setup, checked.bus, progress or (lambda name, share: None))
-        files = {"coupling.json": _json(found), "report.html": _page(found)}
+        made = provenance()
+        files = {"coupling.json": _json(found, made), "report.html": _page(found, made)}
         replace_files(out, files, list(files))
     return found
 
@@ -258,7 +259,7 @@ def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
     return found
 
 
-def _json(found: Coupling) -> bytes:
+def _json(found: Coupling, made: Mapping[str, Any]) -> bytes:
     schemes = [
         {
             "name": s.name,
@@ -279,12 +280,12 @@ def _json(found: Coupling) -> bytes:
             "estimates": dict(found.refined),
         },
         "notes": list(found.notes),
-        "provenance": provenance(),
+        "provenance": made,
     }
     return to_json(content).encode()
 
 
-def _page(found: Coupling) -> bytes:
+def _page(found: Coupling, made: Mapping[str, Any]) -> bytes:
     known = list(found.refined)
     ways = [
         ("refined", found.verdict, found.refined),
@@ -293,6 +294,7 @@ def _page(found: Coupling) -> bytes:
     return pages.render(
         "bristle.harness.coupling/report.html",
         found=found,
+        made=made,
         refined_step=found.step / REFINED,
         known=known,
         ends=[(name, judged, [values.get(e) for e in known]) for name, judged, values in ways],

@@ -102,7 +102,8 @@ def comparison_of(_):
 
 def coupling_of(_):
     scheme = Scheme(EVIL, EVIL, {EVIL: Error(1.0, 1.0, 1.0, None)}, {EVIL: 1.0})
-    return _page(Coupling(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))).decode()
+    found = Coupling(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))
+    return _page(found, MADE).decode()
 
 
 def replay_of(_):
@@ -113,7 +114,9 @@ def replay_of(_):
         passed=False,
         verdict=EVIL,
     )
-    return pages.render("bristle.harness.exchange/replay.html", package=EVIL, found=found)
+    return pages.render(
+        "bristle.harness.exchange/replay.html", package=EVIL, found=found, made=MADE
+    )
 
 
 def experiments_of(_):
@@ -126,6 +129,7 @@ def experiments_of(_):
     )
     found = SimpleNamespace(passed=False, changed=(EVIL,), experiments=(each,))
     data = {"fmu": EVIL, "found": found, "signals": each.agreement, "files": [EVIL]}
+    data["made"] = MADE
     return pages.render("bristle.harness.exchange/experiments.html", **data)
 
 
