@@ -29,8 +29,8 @@ from scene import Scene, draw_scene
 from truth import COUNTS, PERIOD, Record
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.proposal import Proposal, propose
-from bristle.diagnosis.proposal_text import resolution_of, write_model
+from bristle.diagnosis.init.proposal import Proposal, propose
+from bristle.diagnosis.report.proposed_model import resolution_of, write_model
 
 Array = NDArray[np.float64]
 DEG = 180.0 / np.pi

@@ -3,17 +3,18 @@ with it added.
 """
 
 from bristle.common.errors import BristleError
+from bristle.diagnosis.answer import Diagnosis, Validation
 from bristle.diagnosis.checks.records import load_records, records_from_arrays
 from bristle.diagnosis.fmu.model import fmu_model
-from bristle.diagnosis.fmu.workflow import diagnose_fmu
 from bristle.diagnosis.modelfile import Model, load_model
 from bristle.diagnosis.report.export import write
-from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.report.validation_page import write_validation
+from bristle.diagnosis.report.writer import ReportWriter
 from bristle.diagnosis.selection.start_values import SearchOptions
-from bristle.diagnosis.whole.report import write_validation
-from bristle.diagnosis.whole.validation import Validation, validate, validate_fmu
-from bristle.diagnosis.workflow import diagnose
+from bristle.diagnosis.workflow import diagnose, diagnose_fmu, validate, validate_fmu
 from bristle.records.record import Record
+
+Diagnosis.writer = Validation.writer = ReportWriter()
 
 __all__ = [
     "BristleError",

@@ -1,61 +1,95 @@
-"""The whole workflow: records and a model in, a `Diagnosis` out."""
+"""The whole workflow: records and a model in, a `Diagnosis` or a `Validation` out."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from bristle.common.deadline import until, within
+from bristle.common.deadline import until
 from bristle.common.errors import BristleError
-from bristle.diagnosis.agreement import agreement, with_agreement, without_floor
-from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.checks.input_hold import with_input_share
-from bristle.diagnosis.checks.plausibility import Plausibility, check
-from bristle.diagnosis.checks.records import must_show
-from bristle.diagnosis.conclusion import (
-    NOTHING_LEFT,
-    Additions,
-    Case,
-    Conclusion,
-    as_diagnosis,
-    conclude,
-    may_be_nothing,
-    without_effects,
+from bristle.diagnosis.answer import (
+    Diagnosis,
+    Finding,
+    Line,
+    Progress,
+    Reason,
+    Validation,
+    finding,
 )
-from bristle.diagnosis.experiment.design import design
-from bristle.diagnosis.experiment.sentence import designed_line
-from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
-from bristle.diagnosis.modelfile import Model, must_be_model
-from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
-from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.selection.start_values import Progress, SearchOptions
+from bristle.diagnosis.checks.input_hold import InputShare, with_input_share
+from bristle.diagnosis.checks.preparation import PreparedCase, notes_of, prepared_case
+from bristle.diagnosis.checks.records import check_arguments
+from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
+from bristle.diagnosis.fmu.plant_fmu import plant_fmu, unit_notes
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.selection.stepwise import SearchOutcome, search
-from bristle.diagnosis.whole.refit import refit_to_whole_records
-from bristle.records.clock import must_agree
+from bristle.diagnosis.stages.agreement import agreement
+from bristle.diagnosis.stages.case import Budget, SearchedCase, Stage
+from bristle.diagnosis.stages.conclusion import conclude, may_be_nothing, without_effects
+from bristle.diagnosis.stages.design import designed_experiment
+from bristle.diagnosis.stages.remarks import remarks
+from bristle.diagnosis.stages.unnamed_torque import unnamed_torque
+from bristle.diagnosis.validation.validate import (
+    model_simulation,
+    on_one_clock,
+    validated,
+    validated_fmu,
+)
+from bristle.diagnosis.validation.whole_records import (
+    as_fitted_to_segments,
+    refitted_to_whole_records,
+)
 from bristle.records.record import Record
 
 # of a time budget: after it no further effect is tried, and those under way are left
 SEARCH_SHARE = 0.6
 # of a time budget: after it effects are no longer compared, nor one refitted that was found
 COMPARISON_SHARE = 0.75
-# of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is
-# fitted
-REFIT_SHARE = 0.8
-DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
-
-T = TypeVar("T")
 
 
+@dataclass(frozen=True)
+class Step:
+    """A stage after the search, and what a time budget does to it."""
+
+    stage: Stage
+    share: float = 1.0  # of a time budget: after it the stage is not begun
+    # what is then left out; None if the stage is run in any case
+    left_out: Reason | None = None
+    otherwise: Stage | None = None  # what is done in its place
+    told: tuple[str, float] | None = None  # progress
+
+
+# the errors and the parameters over whole records, on which the verdict may turn
+WHOLE_RECORDS = Step(
+    refitted_to_whole_records,
+    0.8,
+    Reason.NOT_REFITTED,
+    as_fitted_to_segments,
+    ("whole records", 0.9),
+)
+STEPS = (  # after that
+    Step(remarks),
+    Step(unnamed_torque, 0.8, Reason.NO_UNNAMED_TORQUE),
+    Step(agreement, 0.8, Reason.NOT_COMPARED_RECORDS),
+    Step(designed_experiment, 0.9, Reason.NO_DESIGNED_INPUT, told=("what to measure next", 0.95)),
+)
+
+# what makes a case of records and their notes, or a diagnosis where nothing can be searched
+Prepare = Callable[[Sequence[Record], tuple[Line, ...]], PreparedCase | Diagnosis]
+
+
+# -- diagnosis -------------------------------------------------------------------------------------
 def diagnose(
     model: Model,
     records: Sequence[Record],
     progress: Progress | None = None,
     options: SearchOptions | None = None,
-) -> answer.Diagnosis:
+) -> Diagnosis:
     """Find where a model and records disagree, and name what is missing.
 
     Parameters
@@ -84,122 +118,140 @@ def diagnose(
     check_arguments(model, records)
     tell = teller(progress)
     return search_prepared(
-        lambda given: _prepared(model, given, tell), records, tell, options or SearchOptions()
+        lambda given, notes: prepared_case(model, given, notes, tell), records, tell, options
     )
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A case to be searched, and what is added to its diagnosis once the conclusion is known."""
+def diagnose_fmu(
+    fmu_path: Path,
+    model: Model,
+    records: Sequence[Record],
+    progress: Progress | None = None,
+    options: SearchOptions | None = None,
+    timeout: float | None = None,
+) -> Diagnosis:
+    """Find where a plant FMU and records disagree, and name what the FMU lacks.
 
-    case: Case
-    additions: Callable[[Conclusion], Additions]
+    Parameters
+    ----------
+    fmu_path : Path
+        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold
+        velocities. It runs in a process of its own.
+    model : Model
+        What the records hold, and a law and nominal parameters that come near the FMU's;
+        `fmu_model`, or from a file.
+    records : sequence of Record
+        From `load_records` or `records_from_arrays`; two or more are better than one.
+    progress : function, optional
+        Called with a text and the fraction done.
+    options : SearchOptions, optional
+        Of the search; its progress is reported to `progress`.
+    timeout : float, optional
+        Seconds that the simulation of the FMU may take.
 
+    Returns
+    -------
+    Diagnosis
+        `model` has the parameters that the FMU behaves like; `findings` say how the FMU was run,
+        how closely the fitted servo follows it, and which of its parameters look wrong. Verdict
+        not_identifiable if the servo does not follow.
 
-# a diagnosis where nothing can be searched
-Prepare = Callable[[Sequence[Record]], Prepared | answer.Diagnosis]
-
-
-def _prepared(
-    model: Model, records: Sequence[Record], tell: Progress
-) -> Prepared | answer.Diagnosis:
-    """Return the model fitted to the records, or a diagnosis where both seem to describe different
-    things.
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records
+        are too short.
     """
-    said, dataset = check(model, records), dataset_of(model, records)
-    if said.proposals:
-        return not_searched(
-            model, records, nominal_gap(dataset, *base_servo_of(model, dataset)), implausible(said)
-        )
-    tell("base refit", 0.0)
-    dataset, base, lines = prepare_model(model, records, dataset)
-    return Prepared(
-        Case(model, records, dataset, base),
-        lambda found: Additions(findings_after=(*lines, *said.findings)),
-    )
+    check_arguments(model, records)
+    tell, fmu = teller(progress), plant_fmu(fmu_path, model)
+
+    def prepare(given: Sequence[Record], notes: tuple[Line, ...]) -> PreparedCase | Diagnosis:
+        return prepared_fmu_case(fmu, model, given, notes, (tell, timeout))
+
+    return search_prepared(prepare, records, tell, options)
 
 
 def search_prepared(
-    prepare: Prepare, records: Sequence[Record], tell: Progress, options: SearchOptions
-) -> answer.Diagnosis:
-    """Return the diagnosis of what `prepare` makes of the records.
+    prepare: Prepare,
+    records: Sequence[Record],
+    tell: Progress,
+    options: SearchOptions | None = None,
+) -> Diagnosis:
+    """Return the diagnosis of what `prepare` makes of the records."""
+    budget = Budget(options or SearchOptions(), time.perf_counter())
+    # matrices are small: more threads only wait, and sum in another order
+    with threadpool_limits(1, user_api="blas"):
+        searched = _searched(prepare, records, tell, budget)
+        answer = searched if isinstance(searched, Diagnosis) else _answered(*searched, tell, budget)
+    return replace(answer, seconds=time.perf_counter() - budget.started)
+
+
+def _searched(
+    prepare: Prepare, records: Sequence[Record], tell: Progress, budget: Budget
+) -> tuple[PreparedCase, SearchOutcome] | Diagnosis:
+    """Return the prepared case and what its search found, or a diagnosis where nothing was
+    searched.
 
     Where the search finds that the input was held otherwise than the records say, they are
     corrected and prepared again.
     """
-    started = time.perf_counter()
-    options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
-
-    def in_time(begin: float, result: Callable[[], T]) -> T | None:
-        """Return a result, None where a share of the budget is gone before it is begun, or all of
-        it before it is there.
-        """
-        late = time.perf_counter() > started + begin * options.budget
-        return None if late else within(started + options.budget, result)
-
-    def over_whole_records(
-        case: Case, found: Conclusion
-    ) -> tuple[bool | None, tuple[Conclusion, answer.WholeRecords]]:
-        """Return a conclusion over whole records, and first None where no time was left for a refit
-        to these.
-        """
-        refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
-        return (True, refit) if refit else (None, refit_to_whole_records(case, found, refit=False))
-
-    # matrices are small: more threads only wait, and sum in another order
-    with threadpool_limits(1, user_api="blas"):
-        while True:
-            prepared = prepare(records)
-            if isinstance(prepared, answer.Diagnosis):
-                return replace(prepared, seconds=time.perf_counter() - started)
-            with until(started + COMPARISON_SHARE * options.budget):
-                outcome = search(
-                    prepared.case.dataset, prepared.case.base, _reporting(options, tell)
-                )
-            if outcome.input_share is None:
-                break
-            records = with_input_share(records, outcome.input_share)
-        tell("residual", 0.85)
-        found = conclude(prepared.case, outcome)
-        tell("whole records", 0.9)
-        case = prepared.case
-        in_full, (refitted, whole) = over_whole_records(case, found)
-        if may_be_nothing(refitted):
-            found = conclude(case, without_effects(case, outcome, refitted))
-            in_full, (refitted, whole) = over_whole_records(case, found)
-        more = prepared.additions(found)
-        fill = in_time(REFIT_SHARE, lambda: [unnamed_torque(case, found)])
-        agree = in_time(REFIT_SHARE, lambda: [agreement(case, found)])
-        tell("what to measure next", 0.95)
-        ask = in_time(DESIGN_SHARE, lambda: [design(case, found, options)])
-        done = {
-            "parameters were not refitted to whole records": in_full,
-            "no unnamed torque": fill,
-            "records were not compared for their parameters": agree,
-            "no input of a further record": ask,
-        }
-        left = _cut_short(outcome, options, [what for what, was in done.items() if was is None])
-        more = replace(more, findings_after=(*more.findings_after, *left))
-        [unnamed], [agrees], [designed] = fill or [None], agree or [None], ask or [None]
-        said = as_diagnosis(case, without_floor(refitted, agrees), whole, more)
-        said = with_agreement(with_unnamed_torque(said, unnamed), agrees)
-        text = " ".join(filter(None, (said.experiment, designed_line(designed, case.model))))
-        return replace(
-            said, experiment=text, designed=designed, seconds=time.perf_counter() - started
-        )
+    share: InputShare | None = None
+    options = replace(budget.options, deadline=budget.until(SEARCH_SHARE))
+    while True:
+        prepared = prepare(records, notes_of(records, share))
+        if isinstance(prepared, Diagnosis):
+            return prepared
+        with until(budget.until(COMPARISON_SHARE)):
+            outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
+        if outcome.input_share is None:
+            return prepared, outcome
+        share = outcome.input_share
+        records = with_input_share(records, share)
 
 
-def _cut_short(outcome: SearchOutcome, options: SearchOptions, later: Sequence[str]) -> list[str]:
-    """Return a line on what a time budget left out, of the search and after it (`later`), if it
-    did.
+def _answered(
+    prepared: PreparedCase, outcome: SearchOutcome, tell: Progress, budget: Budget
+) -> Diagnosis:
+    """Return what follows from a search, stage by stage."""
+    tell("residual", 0.85)
+    case, answer = conclude(prepared, outcome)
+    answer, late = _taken(WHOLE_RECORDS, case, answer, tell, budget)
+    # effects of which no strength is known over whole records either stand in for something else
+    if may_be_nothing(answer):
+        case, answer = conclude(prepared, without_effects(prepared, outcome, answer))
+        answer, late = _taken(WHOLE_RECORDS, case, answer, tell, budget)
+    left_out = [late]
+    for step in STEPS:
+        answer, late = _taken(step, case, answer, tell, budget)
+        left_out.append(late)
+    cut = _cut_short(outcome, budget, [finding(reason) for reason in left_out if reason])
+    return replace(answer, notes=(*answer.notes, *cut))
+
+
+def _taken(
+    step: Step, case: SearchedCase, answer: Diagnosis, tell: Progress, budget: Budget
+) -> tuple[Diagnosis, Reason | None]:
+    """Return the answer after a step, and what it left out for want of time."""
+    if step.told:
+        tell(*step.told)
+    if step.left_out is None:
+        return step.stage(case, answer, budget), None
+    done = budget.within(step.share, lambda: step.stage(case, answer, budget))
+    if done is not None:
+        return done, None
+    return step.otherwise(case, answer, budget) if step.otherwise else answer, step.left_out
+
+
+def _cut_short(outcome: SearchOutcome, budget: Budget, later: Sequence[Finding]) -> list[Finding]:
+    """Return what is said of what a time budget left out, of the search and after it (`later`), if
+    it did.
     """
-    unfinished = ", ".join(outcome.rounds[-1].unfinished)
-    left = [f"effects not tried to the end in the last round: {unfinished}"] if unfinished else []
+    unfinished = outcome.rounds[-1].said.unfinished
+    left = [finding(Reason.EFFECTS_UNFINISHED, effects=unfinished)] if unfinished else []
     left += [outcome.cut_short] if outcome.cut_short and not left else []
     left += later
-    return (
-        [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
-    )
+    seconds = budget.options.budget
+    return [finding(Reason.BUDGET_USED, seconds=seconds, left_out=tuple(left))] if left else []
 
 
 def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
@@ -219,67 +271,65 @@ def teller(progress: Progress | None) -> Progress:
     return progress or (lambda text, fraction: None)
 
 
-def check_arguments(model: Model, records: Sequence[Record]) -> None:
-    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays, or
-    records that show nothing.
+# -- validation ------------------------------------------------------------------------------------
+def validate(model: Model, records: Sequence[Record]) -> Validation:
+    """Simulate a model over records in open loop, and compare.
+
+    Parameters
+    ----------
+    model : Model
+        From `load_model`: a model file, or the augmented.toml of a diagnosis. Nothing of it is
+        fitted.
+    records : sequence of Record
+        From `load_records` or `records_from_arrays`. Position and velocity at their starts are
+        fitted.
+
+    Returns
+    -------
+    Validation
+        Errors of every record over its whole length and over shorter horizons.
+
+    Raises
+    ------
+    BristleError
+        If there is no record, or the model cannot be simulated.
     """
-    must_be_model(model)
-    if not isinstance(records, Sequence) or not all(
-        isinstance(record, Record) for record in records
-    ):
-        raise BristleError(
-            "the records are not a list of Record; give what load_records or records_from_arrays"
-            " returns"
-        )
-    if not records:
-        raise BristleError("no record is given; give at least one")
-    must_agree(records)
-    must_show(model, records)
+    check_arguments(model, records)
+    records, notes = on_one_clock(model, records)
+    name = model.friction if model.path is None else model.path.name
+    return validated(name, model, records, model_simulation(model, records[0].h), notes)
 
 
-def implausible(said: Plausibility, lines: Sequence[str] = ()) -> Additions:
-    """Return what is reported where data and model seem to describe different things; `lines` are
-    findings to begin with.
+def validate_fmu(
+    fmu_path: Path, model: Model, records: Sequence[Record], timeout: float | None = None
+) -> Validation:
+    """Simulate a plant FMU over records in open loop, and compare.
+
+    Parameters
+    ----------
+    fmu_path : Path
+        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold
+        velocities. It runs in a process of its own. Where it can be started from the measured
+        position and velocity, it is, and the position is fitted.
+    model : Model
+        What the records hold; `fmu_model`, or from a file.
+    records : sequence of Record
+        From `load_records` or `records_from_arrays`.
+    timeout : float, optional
+        Seconds that a simulation may take.
+
+    Returns
+    -------
+    Validation
+        As of `validate`; of an FMU that cannot be started from a given state, over whole records
+        alone.
+
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read, lacks these variables, crashes, takes longer than `timeout` or
+        refuses a step.
     """
-    why = (
-        "No effect was tried: data and model disagree in a way that is more likely a mistake in one"
-        " of them. Proposed: "
-    )
-    proposed = "; ".join(line.rstrip(".") for line in said.proposals)
-    return Additions(
-        [f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"],
-        lines,
-        said.findings,
-        proposals=said.proposals,
-    )
-
-
-def not_searched(
-    model: Model, records: Sequence[Record], gap: float, said: Additions
-) -> answer.Diagnosis:
-    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output
-    squared], `said` is why.
-    """
-    return answer.Diagnosis(
-        verdict="not_identifiable",
-        statement=tuple(said.statement),
-        effects=(),
-        ties=(),
-        experiment="",
-        where=(),
-        remains=NOTHING_LEFT,
-        gap=answer.Gap(gap, gap, None, model.output_unit),
-        excitation=excitation(model, records),
-        findings=(
-            *said.findings_before,
-            *(f for r in records for f in r.findings),
-            *said.findings_after,
-        ),
-        base={},
-        parameters={},
-        rounds=(),
-        undetected={},
-        traces=(),
-        model=model,
-        proposals=said.proposals,
-    )
+    check_arguments(model, records)
+    fmu = plant_fmu(fmu_path, model)
+    return validated_fmu(fmu, model, records, unit_notes(fmu, model), timeout)

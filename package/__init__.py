@@ -475,7 +475,7 @@ def validate(
         or the folder cannot be written.
     """
     from bristle import diagnosis
-    from bristle.diagnosis.whole.report import check_validation_places
+    from bristle.diagnosis.report.validation_page import check_validation_places
 
     files, records = _split(data)
     given = [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))]

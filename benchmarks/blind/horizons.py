@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hidden import HIDDEN_CASES, open_answers
 
 from bristle.diagnosis import load_model, load_records
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.estimation.simulator import (
@@ -30,8 +31,7 @@ from bristle.diagnosis.estimation.simulator import (
     Servo,
     free_parameters,
 )
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.whole.open_loop import (
+from bristle.diagnosis.validation.long_simulation import (
     Records,
     fitted_error,
     open_loop_servo,

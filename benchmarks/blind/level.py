@@ -31,14 +31,14 @@ from truth import RESOLUTION, Array
 
 from bristle.common.arguments import filled_path
 from bristle.diagnosis import Record, load_model, load_records, records_from_arrays
+from bristle.diagnosis.checks.preparation import dataset_of, prepare_model
 from bristle.diagnosis.estimation.dataset import Piece, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel
-from bristle.diagnosis.experiment.discrimination import disturbed
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.preparation import dataset_of, prepare_model
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE, REFIT_FACTOR
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.selection.stepwise import search
+from bristle.diagnosis.stages.discrimination import disturbed
 
 LEVEL_SEED = "level"
 FACTORS = (1.0, 2.0, 3.0, 4.0)  # times the quantile of the scores

@@ -14,9 +14,10 @@ from measured_data import Array, Entry
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.dataset import smooth
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
+from bristle.diagnosis.report.text.said import said
 
 INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
@@ -204,8 +205,8 @@ def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str
     model = declared(
         "torque", {"J": inertia, "a2": own["a2"], "Fc": own["coulomb.Fc"]}, bounds=bounds
     )
-    said = check(model, taken(model, entries))
-    return "; ".join((*said.proposals, *said.findings)) or "nothing"
+    found = check(model, taken(model, entries))
+    return "; ".join(map(said, (*found.corrections, *found.notes))) or "nothing"
 
 
 # -- ODrive ----------------------------------------------------------------------------------------

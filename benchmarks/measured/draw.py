@@ -23,8 +23,8 @@ from bristle.common.drawing import (
     set_title,
     thin,
 )
-from bristle.diagnosis.preparation import SEGMENT_SECONDS
-from bristle.diagnosis.report.figures import worst_part
+from bristle.diagnosis.estimation.dataset import SEGMENT_SECONDS
+from bristle.diagnosis.report.figures.of_diagnosis import worst_part
 
 DPI = 130
 NAMED, OTHER = BLUE, PALE

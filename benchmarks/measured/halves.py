@@ -13,8 +13,8 @@ from cases import declared, taken
 
 from bristle.diagnosis import diagnose
 from bristle.diagnosis.report.export import augment
-from bristle.diagnosis.whole.open_loop import part
-from bristle.diagnosis.whole.validation import validate
+from bristle.diagnosis.validation.long_simulation import part
+from bristle.diagnosis.workflow import validate
 
 
 def main() -> int:

@@ -25,7 +25,7 @@ from measured_data import MEASURED_FOLDER
 from page import put
 
 from bristle.diagnosis import Diagnosis
-from bristle.diagnosis.report.text import view_name
+from bristle.diagnosis.report.text.names import view_name
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, MEASURED_TABLE = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"

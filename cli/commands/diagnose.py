@@ -16,7 +16,7 @@ from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError, IncompleteError
 
 if TYPE_CHECKING:
-    from bristle.diagnosis.report.result import Diagnosis
+    from bristle.diagnosis.answer import Diagnosis
     from bristle.diagnosis.selection.start_values import SearchOptions
 
 
@@ -169,7 +169,7 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     parameters of the effects.
     """
     from bristle.diagnosis.report.headline import headline
-    from bristle.diagnosis.report.text import effect_name, plain_texts
+    from bristle.diagnosis.report.text.names import effect_name, plain_texts
 
     print(headline(found))
     text = "\n".join(found.statement)

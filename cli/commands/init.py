@@ -43,8 +43,8 @@ def init(
     commented model file.
     """
     from bristle.cli.files import pairs
-    from bristle.diagnosis.proposal import propose
-    from bristle.diagnosis.proposal_text import next_command, summary, write_model
+    from bristle.diagnosis.init.proposal import propose
+    from bristle.diagnosis.report.proposed_model import next_command, summary, write_model
 
     files = files_of(data)
     found = propose(

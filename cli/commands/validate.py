@@ -60,7 +60,11 @@ def validate(
     from bristle import diagnosis
     from bristle.common.output import output_folder
     from bristle.common.provenance import provenance_of
-    from bristle.diagnosis.whole.report import check_validation_places, sentences, write_validation
+    from bristle.diagnosis.report.validation_page import (
+        check_validation_places,
+        sentences,
+        write_validation,
+    )
 
     data = files_of(data)
     if model.suffix.lower() == ".fmu":

@@ -1,7 +1,8 @@
-"""What a set of records excites, in numbers, and what it therefore cannot show, in words."""
+"""What a set of records excites, in numbers, and what it therefore cannot show."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from scipy.signal import savgol_filter, welch
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Excitation, Finding, Reason, finding
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, REVERSALS
 from bristle.records.clock import overlap
@@ -35,82 +37,81 @@ SINE_RANGE = float(np.pi / 2)
 # of the input: mean torque of the inertia below which a motion in so small a range shows little but
 # friction
 LEAST_INERTIA = 0.3
-VELOCITY_CAVEAT = (
-    "velocities only: position 0 is assumed at the beginning of each record; effects that depend on"
-    " the position are found, with the right phase, only if all records begin at the same position"
-)
+# of the motion: less of it in one of the directions hardly tells friction from what is constant
+LITTLE_BACK = 0.05
+LITTLE_REST, MUCH_REST = 0.02, 0.5  # of the time
+LITTLE_SLOW = 0.03  # of the time
+FEW_REVERSALS = 5  # fewer hardly show what acts at a reversal
+EVEN_SPEED = 0.8  # of the largest speed: rms from which on the speed hardly varies
+TWO_TURNS = 4 * float(np.pi)  # rad
+FAST_INPUT = 5.0  # Hz: least bandwidth that shows a compliance
+LONG_DURATION = 20.0  # s: least that shows a slow drift
 
 
-def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
-    """Return what the records excite: plain numbers, and ``{"value", "unit"}`` for what has a unit.
-
-    ``narrow`` says why effects cannot be distinguished by their form, ``lacks`` what of `NEEDS` the
-    records do not contain, and ``caveats`` what else they cannot show.
+def excitation(model: Model, records: Sequence[Record]) -> Excitation:
+    """Return what the records excite: plain numbers, and ``{"value", "unit"}`` for what has a
+    unit; and what they therefore cannot show.
     """
-    length = "m" if model.linear else "rad"
-    positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)
-    v = np.concatenate(velocities)
+    numbers = _of_input(model, records) | _of_motion(model, records)
+    lacks = _lacks(numbers)
+    caveats = (*_caveats(model, numbers, lacks), *_caveats_of_several(model, records))
+    return Excitation(numbers, tuple(lacks), _uniform(model, records, numbers), caveats)
+
+
+def _of_input(model: Model, records: Sequence[Record]) -> dict[str, Any]:
+    """Return how much there is of the records, and numbers of their input."""
     u = np.concatenate([r.u for r in records])
-    top = float(np.quantile(np.abs(v), 0.999))
-    rest = max(REST_SPEED * float(np.sqrt(np.mean(v**2))), _least_speed(model, records))
-    still = np.abs(v) < rest
-    reversals = sum(
-        _reversals(each, rest, r.h) for each, r in zip(velocities, records, strict=True)
-    )
+    unit, ends = model.input_unit, (float(np.min(u)), float(np.max(u)))
     band = max(_spectrum(r.u, r.h)[0] for r in records)
-    tone = min(_spectrum(each, r.h)[1] for each, r in zip(velocities, records, strict=True))
-    span = max(float(np.ptp(x)) for x in positions)
-    slow = float(np.mean((np.abs(v) < SLOW_SPEED * top) & ~still))
-    seconds = sum(len(r) * r.h for r in records)
-    numbers: dict[str, Any] = {
+    return {
         "records": len(records),
         "samples": int(sum(len(r) for r in records)),
-        "duration": _with("s", seconds),
+        "duration": _with("s", sum(len(r) * r.h for r in records)),
         "sampling_period": _with("s", records[0].h),
-        "input_range": {
-            "lowest": float(np.min(u)),
-            "highest": float(np.max(u)),
-            "unit": model.input_unit,
-        },
-        "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))),
+        "input_range": _range(unit, ends),
+        "input_rms": _with(unit, float(np.sqrt(np.mean(u**2)))),
         "input_bandwidth": _with("Hz", band),
         "input_between_samples": "changing" if any(record.ahead for record in records) else "held",
-        "speed_range": {
-            "lowest": float(np.min(v)),
-            "highest": float(np.max(v)),
-            "unit": f"{length}/s",
-        },
-        "speed_dominant_tone_share": tone,
-        "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
+    }
+
+
+def _of_motion(model: Model, records: Sequence[Record]) -> dict[str, Any]:
+    """Return numbers of the motion, and of the torque that it takes."""
+    length = "m" if model.linear else "rad"
+    positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)
+    moved = list(zip(velocities, records, strict=True))
+    v = np.concatenate(velocities)
+    rms = float(np.sqrt(np.mean(v**2)))
+    top, rest = (
+        float(np.quantile(np.abs(v), 0.999)),
+        max(REST_SPEED * rms, _least_speed(model, records)),
+    )
+    still = np.abs(v) < rest
+    span = max(float(np.ptp(x)) for x in positions)
+    numbers: dict[str, Any] = {
+        "speed_range": _range(f"{length}/s", (float(np.min(v)), float(np.max(v)))),
+        "speed_dominant_tone_share": min(_spectrum(each, r.h)[1] for each, r in moved),
+        "speed_rms": _with(f"{length}/s", rms),
         "range_travelled": _with(length, span),
         "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in positions))),
-        "reversals": reversals,
+        "reversals": sum(_reversals(each, rest, r.h) for each, r in moved),
         "rest_share": float(np.mean(still)),
-        "slow_share": slow,
+        "slow_share": float(np.mean((np.abs(v) < SLOW_SPEED * top) & ~still)),
         "forward_share": float(np.mean(v > rest)),
         "backward_share": float(np.mean(v < -rest)),
     }
     if not model.linear:
         numbers["turns_travelled"] = span / (2 * np.pi)
     if model.input_kind in ("voltage", "current"):
-        gain = model.parameters["b"]
-        ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
-        numbers["torque_range"] = {
-            "lowest": ends[0],
-            "highest": ends[1],
-            "unit": "N" if model.linear else "N.m",
-        }
-    numbers["inertia_share"] = max(
-        _inertia_share(model, each, r) for each, r in zip(velocities, records, strict=True)
-    )
-    numbers["lacks"] = _lacks(numbers)
-    numbers["narrow"] = _poor_excitation(model, records, numbers)
-    numbers["caveats"] = [*_caveats(model, numbers), *_caveats_of_several(model, records)]
+        u, gain = np.concatenate([r.u for r in records]), model.parameters["b"]
+        low, high = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
+        numbers["torque_range"] = _range("N" if model.linear else "N.m", (low, high))
+    numbers["inertia_share"] = max(_inertia_share(model, each, r) for each, r in moved)
     return numbers
 
 
 def _lacks(numbers: dict[str, Any]) -> list[str]:
-    """Return what of `NEEDS` the records do not contain."""
+    """Return what effects need, of `NEEDS`, and the records do not contain."""
     ahead, back, ends = numbers["forward_share"], numbers["backward_share"], numbers["input_range"]
     found = {
         BOTH_DIRECTIONS: min(ahead, back) < LEAST_SHARE_BACK * (ahead + back),
@@ -120,33 +121,24 @@ def _lacks(numbers: dict[str, Any]) -> list[str]:
     return [need for need, missing in found.items() if missing]
 
 
-def _poor_excitation(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
-    """Return why effects cannot be distinguished by their form on such records, or an empty text.
+def _uniform(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> Finding | None:
+    """Return why effects cannot be distinguished by their form on such records.
 
     Where the servo repeats one motion or hardly turns, speed, position and torque vary together:
     nearly any effect can replace another whose form differs a little from that of the catalogue.
     The same holds for short records.
     """
     if numbers["speed_dominant_tone_share"] > TONE_POWER:
-        return (
-            "the servo repeats one oscillation; record steps of several sizes, slow motion over"
-            " several turns and a chirp"
-        )
+        return finding(Reason.ONE_OSCILLATION)
     period = numbers["sampling_period"]["value"]
     if period > COARSE_PERIOD and any(record.ahead for record in records):
-        return (
-            f"the input changes between samples that are {1e3 * period:.3g} ms apart; log it at the"
-            " rate of the drive"
-        )
+        return finding(Reason.COARSE_INPUT, period=period)
     if numbers["duration"]["value"] < SHORT_DURATION:
-        return f"the records last {numbers['duration']['value']:.3g} s in all; record 20 s or more"
+        return finding(Reason.SHORT_RECORDS, seconds=numbers["duration"]["value"])
     slow = numbers["inertia_share"] < LEAST_INERTIA
     if slow and not model.linear and numbers["range_travelled"]["value"] < SINE_RANGE:
-        return (
-            "the servo moves less than a quarter turn, and slowly; record fast and slow motion over"
-            " several turns"
-        )
-    return ""
+        return finding(Reason.SMALL_RANGE)
+    return None
 
 
 def _inertia_share(model: Model, v: Array, record: Record) -> float:
@@ -163,6 +155,10 @@ def _inertia_share(model: Model, v: Array, record: Record) -> float:
 
 def _with(unit: str, value: float) -> dict[str, Any]:
     return {"value": float(value), "unit": unit}
+
+
+def _range(unit: str, ends: tuple[float, float]) -> dict[str, Any]:
+    return {"lowest": ends[0], "highest": ends[1], "unit": unit}
 
 
 def _motion(model: Model, record: Record) -> tuple[Array, Array]:
@@ -215,78 +211,57 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
     return band, float(np.sum(power[peak - 2 : peak + 3]) / np.sum(power))
 
 
-def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[str]:
+def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[Finding]:
     """Return what several records cannot show because their relation in time or position is
     unknown.
     """
     found = []
     if overlap((float(r.time[0]), float(r.time[-1])) for r in records):
-        found.append(
-            "times of the records overlap: a clock of its own is assumed for each, so that a step"
-            " in time is searched with each record as the last one, and a drift anew in each or"
-            " from one to the next; log one time for all records if you can"
-        )
+        found.append(finding(Reason.OVERLAPPING_TIMES))
     if model.output_kind == "velocity" and len(records) > 1:
-        found.append(VELOCITY_CAVEAT)
+        found.append(finding(Reason.UNKNOWN_POSITIONS))
     return found
 
 
-def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
+def _caveats(model: Model, numbers: dict[str, Any], lacks: Sequence[str]) -> list[Finding]:
     """Return which effects the numbers show to be indistinguishable or invisible."""
-    found = []
-    moving = numbers["forward_share"] + numbers["backward_share"]
-    less = min(numbers["forward_share"], numbers["backward_share"])
-    if less < 0.05 * moving:
-        found.append(
-            "nearly always in one direction: friction, bias and the mean of gravity cannot be"
-            " distinguished"
-        )
-    elif numbers["rest_share"] < 0.02:
-        found.append(
-            "hardly ever at rest: bias and asymmetric friction cannot be distinguished; add a rest"
-            " phase"
-        )
-    if numbers["rest_share"] > 0.5:
-        found.append(
-            f"at rest for {numbers['rest_share']:.0%} of the time: effects that need motion hardly"
-            " show"
-        )
-    if numbers["reversals"] < 5:
-        found.append(
-            f"only {numbers['reversals']} reversals: presliding, backlash and dead zone hardly show"
-        )
-    if numbers["slow_share"] < 0.03:
-        found.append("hardly ever slow: Stribeck friction and cogging hardly show; add slow motion")
-    highest, rms = (
-        max(abs(numbers["speed_range"][end]) for end in ("lowest", "highest")),
-        numbers["speed_rms"]["value"],
+    rest, reversals = numbers["rest_share"], numbers["reversals"]
+    ahead, back = numbers["forward_share"], numbers["backward_share"]
+    one_way = min(ahead, back) < LITTLE_BACK * (ahead + back)
+    highest = max(abs(numbers["speed_range"][end]) for end in ("lowest", "highest"))
+    span = math.inf if model.linear else numbers["range_travelled"]["value"]
+    seconds = numbers["duration"]["value"]
+    tone = numbers["speed_dominant_tone_share"]
+    shown = (
+        # directions, rest and reversals
+        (one_way, finding(Reason.ONE_DIRECTION)),
+        (not one_way and rest < LITTLE_REST, finding(Reason.NO_REST)),
+        (rest > MUCH_REST, finding(Reason.MOSTLY_REST, share=rest)),
+        (reversals < FEW_REVERSALS, finding(Reason.FEW_REVERSALS, reversals=reversals)),
+        # speeds and range
+        (numbers["slow_share"] < LITTLE_SLOW, finding(Reason.NO_SLOW_MOTION)),
+        (numbers["speed_rms"]["value"] > EVEN_SPEED * highest, finding(Reason.EVEN_SPEED)),
+        (span < HALF_TURN, finding(Reason.LESS_THAN_HALF_A_TURN)),
+        (span < TWO_TURNS, finding(Reason.LESS_THAN_TWO_TURNS)),
+        # the input and the time
+        *_caveats_of_bandwidth(numbers),
+        (tone > TONE_POWER, finding(Reason.ONE_FREQUENCY)),
+        (BOTH_SIGNS in lacks, finding(Reason.ONE_SIGN)),
+        (seconds < LONG_DURATION, finding(Reason.NO_LONG_TIME, seconds=seconds)),
     )
-    if rms > 0.8 * highest:
-        found.append(
-            "speed hardly varies: viscous friction, drag and Coulomb friction cannot be"
-            " distinguished"
-        )
-    if not model.linear and numbers["range_travelled"]["value"] < HALF_TURN:
-        found.append(
-            "less than half a turn: gravity is similar to a spring or a bias, an eccentric encoder"
-            " to a gain"
-        )
-    if not model.linear and numbers["range_travelled"]["value"] < 4 * np.pi:
-        found.append("less than two turns: effects that repeat every turn may be taken for others")
+    return [said for holds, said in shown if holds]
+
+
+def _caveats_of_bandwidth(numbers: dict[str, Any]) -> list[tuple[bool, Finding]]:
+    """Return what the bandwidth of the input hides, each with whether it does."""
     band = numbers["input_bandwidth"]["value"]
-    if band > 0.0:
-        alike = 1.0 / (5 * 2 * np.pi * band)  # s: their phases differ by a few thousandths
-        if alike > numbers["sampling_period"]["value"]:
-            found.append(
-                f"input bandwidth {band:.2g} Hz: a delay and an electrical pole below {alike:.2g} s"
-                " are indistinguishable"
-            )
-        if band < 5.0:
-            found.append("input stays below 5 Hz: compliance does not show; add a chirp")
-    if numbers["speed_dominant_tone_share"] > TONE_POWER:
-        found.append("one dominant frequency: effects of speed, position and time vary together")
-    if BOTH_SIGNS in numbers["lacks"]:
-        found.append("input of one sign: a gain that differs between the signs does not show")
-    if numbers["duration"]["value"] < 20.0:
-        found.append(f"{numbers['duration']['value']:.3g} s in all: slow drift does not show")
-    return found
+    if not band > 0.0:
+        return []
+    alike = 1.0 / (5 * 2 * np.pi * band)  # s: their phases differ by a few thousandths
+    return [
+        (
+            alike > numbers["sampling_period"]["value"],
+            finding(Reason.NARROW_BAND, bandwidth=band, alike=alike),
+        ),
+        (band < FAST_INPUT, finding(Reason.NO_FAST_INPUT)),
+    ]

@@ -10,9 +10,10 @@ from functools import partial
 
 import numpy as np
 
+from bristle.diagnosis.answer import Finding, Reason, finding
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
-from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
 from bristle.records.input_hold import mixed
 from bristle.records.record import Record
@@ -23,11 +24,6 @@ INPUT_CHANGE_GAIN = 50.0
 FIRST_INPUT_SHARE = 0.25  # share of the next sample that is tried first
 # shares that are tried then; 0.5: the input changes linearly
 INPUT_SHARES = tuple(k / 20 for k in range(1, 11))
-INPUT_FINDING = (
-    "the input seems to change between samples: a mix of {share:.2g} of the next sample and the"
-    " rest of the last one is used ({gain:.0f} nats likelier than a held input); log it as often as"
-    " the drive sets it, and look for a lag in its reading"
-)
 
 
 @dataclass(frozen=True)
@@ -38,6 +34,11 @@ class InputShare:
 
     share: float
     gain: float
+
+    @property
+    def note(self) -> Finding:
+        """What is said of it."""
+        return finding(Reason.INPUT_CHANGES, share=self.share, gain=self.gain)
 
 
 def estimate_input_share(dataset: Dataset, fitted: FittedModel) -> InputShare | None:
@@ -65,7 +66,7 @@ def _predicted(dataset: Dataset, fitted: FittedModel, share: float) -> tuple[flo
     pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in segments.pieces)
     simulator = fitted.servo.simulator(replace(segments, pieces=pieces))
     fit = evaluate(
-        fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial)
+        fitted.problem, FitPoint(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial)
     )
     return value_under_noise(fit, partial(under_own_noise, dataset))
 
@@ -91,7 +92,5 @@ def _likeliest_share(dataset: Dataset, fitted: FittedModel, best: int) -> float:
 
 
 def with_input_share(records: Sequence[Record], found: InputShare) -> list[Record]:
-    """Return the records with the mixed input, and a finding that says so in the first."""
-    line = INPUT_FINDING.format(share=found.share, gain=found.gain)
-    changed = [replace(r, u=mixed(r.u, found.share), ahead=found.share) for r in records]
-    return [replace(changed[0], findings=(*changed[0].findings, line)), *changed[1:]]
+    """Return the records with the mixed input."""
+    return [replace(r, u=mixed(r.u, found.share), ahead=found.share) for r in records]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Finding, Reason, finding
 from bristle.diagnosis.checks.torque_regression import (
     Regression,
     explained_share,
@@ -43,20 +44,14 @@ EITHER_SIGN_SHARE = 0.1  # of the samples: least of each sign in an input that d
 BEYOND_BOUNDS = 1.5  # factor outside its bounds from which on an estimate is a finding
 # logarithms of the factors of (J, a2, Fc) by a column that is too large by a factor of e
 CAUSES = {"input": (1.0, 1.0, 1.0), "output": (-1.0, -1.0, 0.0), "time": (2.0, 1.0, 0.0)}
-KNOWN_FACTORS = {  # factor by which a column is too large: its cause
-    "input": {
-        1e3: "a unit of milli",
-        1e6: "a unit of micro",
-        100.0: "N.cm",
-        9.80665: "kgf",
-        98.0665: "kgf.cm",
-    },
+KNOWN_FACTORS = {  # factor by which a column is too large: the unit or prefix that gives it
+    "input": {1e3: "milli", 1e6: "micro", 100.0: "N.cm", 9.80665: "kgf", 98.0665: "kgf.cm"},
     "output": {
         180 / math.pi: "deg",
         0.5 / math.pi: "rev",
         30 / math.pi: "rpm",
-        1e3: "a unit of milli",
-        1e6: "a unit of micro",
+        1e3: "milli",
+        1e6: "micro",
     },
     "time": {1e3: "ms", 1e6: "us", 1.0 / 60.0: "min"},
 }
@@ -67,9 +62,9 @@ ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
 class Plausibility:
     """What the regression shows of the data."""
 
-    # mistakes to be corrected before a search: one line each, empty for plausible data
-    proposals: tuple[str, ...]
-    findings: tuple[str, ...]  # what is unusual, but may be true
+    # mistakes to be corrected before a search, empty for plausible data
+    corrections: tuple[Finding, ...]
+    notes: tuple[Finding, ...]  # what is unusual, but may be true
     # value and se of J, a2, Fc (SI); explained
     fit: dict[str, dict[str, float] | float] = field(default_factory=dict)
 
@@ -77,28 +72,28 @@ class Plausibility:
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
     """Compare what a regression on the records gives with the model's nominal values."""
     found = _regression(model, records)
-    line = _unsigned(model, records, found)
+    unsigned = _unsigned(model, records, found)
     # a position may keep its sign as well
-    if line and not (found and _wrong_reading(model, records, found)):
-        return Plausibility((line,), ())
+    if unsigned and not (found and _wrong_reading(model, records, found)):
+        return Plausibility((unsigned,), ())
     if found is None:
-        return Plausibility((), ("too little motion to check signs and units",))
+        return Plausibility((), (finding(Reason.LITTLE_MOTION),))
     fit: dict[str, dict[str, float] | float] = {
         name: {"value": float(found.value[i]), "se": float(found.error[i])}
         for i, name in enumerate(REGRESSION_NAMES)
     }
     fit["explained"] = found.explained
-    findings = tuple(_outside_bounds(model, found))
+    notes = tuple(_outside_bounds(model, found))
     single = tuple(_proposals_by_record(model, records)) if len(records) > 1 else ()
     whole = _wrong_reading(model, records, found) or _wrong_factor(model, _nominal(model), found)
     if whole and (not single or len(single) > len(records) / 2):
-        return Plausibility((whole,), findings, fit)
+        return Plausibility((whole,), notes, fit)
     # a mistake in one record may not show in all together, or only blur them
-    return Plausibility(single, findings, fit)
+    return Plausibility(single, notes, fit)
 
 
-def _unsigned(model: Model, records: Sequence[Record], found: Regression | None) -> str | None:
-    """Return a proposal where the output looks like a speed without its sign, as a pulse counter
+def _unsigned(model: Model, records: Sequence[Record], found: Regression | None) -> Finding | None:
+    """Return what is said where the output looks like a speed without its sign, as a pulse counter
     gives it.
     """
     y, u = (np.concatenate([getattr(record, name) for record in records]) for name in ("y", "u"))
@@ -112,33 +107,29 @@ def _unsigned(model: Model, records: Sequence[Record], found: Regression | None)
     share = 0.0 if found is None else explained_share(found.rows)[0]
     if share > EXPLAINED_SHARE:  # a drive that brakes with the input, say
         return None
-    return (
-        f"output looks like a speed without its sign: '{model.output.column}' keeps one sign under"
-        f" an input of both, and as given the model explains {share:.0%} of the torque; restore the"
-        " sign, or measure the position"
-    )
+    return finding(Reason.UNSIGNED_SPEED, column=model.output.column, explained=share)
 
 
-def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[str]:
-    """Give proposals for single records; a factor must distinguish a record from the others,
+def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[Finding]:
+    """Give corrections of single records; a factor must distinguish a record from the others,
     too.
     """
     regressions = [_regression(model, [r]) for r in records]
     for k, (record, own) in enumerate(zip(records, regressions, strict=True)):
         if own is None:
             continue
-        line = _wrong_reading(model, [record], own, alone=True)
+        wrong = _wrong_reading(model, [record], own, alone=True)
         others = [
             np.where(each.known(VALUE_ERRORS), each.value, np.nan)
             for i, each in enumerate(regressions)
             if each and i != k
         ]
-        if line is None and all(
+        if wrong is None and all(
             _wrong_factor(model, other, own) for other in others if np.isfinite(other[0])
         ):
-            line = _wrong_factor(model, _nominal(model), own, alone=True)
-        if line:
-            yield f"record {record.name}: {line}"
+            wrong = _wrong_factor(model, _nominal(model), own, alone=True)
+        if wrong:
+            yield finding(Reason.IN_RECORD, record=record.name, what=wrong)
 
 
 def _regression(model: Model, records: Sequence[Record]) -> Regression | None:
@@ -163,7 +154,7 @@ def _nominal(model: Model) -> Array:
 # -- another reading of the columns ----------------------------------------------------------------
 def _wrong_reading(
     model: Model, records: Sequence[Record], found: Regression, alone: bool = False
-) -> str | None:
+) -> Finding | None:
     """Return a proposal to turn the input's sign, swap the columns or differentiate once more or
     less; `alone`: in one record.
     """
@@ -171,25 +162,21 @@ def _wrong_reading(
     value, nominal = found.value, _nominal(model)
     if found.known(SIGN_ERRORS)[0] and _near(value[0] / nominal[0]) and given > 0.5:
         return None
-    if line := _flipped(found, given, bool(np.isfinite(nominal[2])), alone):
-        return line
+    if flipped := _flipped(found, given, bool(np.isfinite(nominal[2])), alone):
+        return flipped
     best = _best_reading(model, records, given, _distance(constants, nominal))
     if best is None:
         return None
     share, reading = best
-    shares = f"explains {share:.0%} of the torque, as given {given:.0%}"
+    shares = {"explained": share, "as_given": given, "alone": alone}
     if reading == "order":
         other = "position" if model.output_kind == "velocity" else "velocity"
-        advice = _advice("correct [output] kind and unit", alone)
-        return f"output looks like a {other}, not a {model.output_kind}: that {shares}; {advice}"
-    names = f"'{model.input.column}' and '{model.output.column}'"
-    advice = _advice("swap them in the model file", alone)
-    return (
-        f"columns of input and output look swapped: {names} the other way round {shares}; {advice}"
-    )
+        return finding(Reason.OTHER_OUTPUT, kind=model.output_kind, other=other, **shares)
+    columns = (model.input.column, model.output.column)
+    return finding(Reason.SWAPPED_COLUMNS, columns=columns, **shares)
 
 
-def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> str | None:
+def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> Finding | None:
     """Return a proposal to turn the input's sign; `given` is the share explained as it is, `dry`
     whether the law has an Fc.
     """
@@ -200,15 +187,8 @@ def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> str | N
     flipped, _ = explained_share(found.rows, -1.0)
     if not (1.0 - given > CLEARER_RATIO * (1.0 - flipped) and flipped > 0.2):
         return None
-    advice = (
-        'reverse it with scale = "-1" beside the unit in [input], or in [output] if its sign is the'
-        " wrong one"
-    )
-    return (
-        f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as"
-        f" given {given:.0%} (J {found.value[0]:.3g}, Fc {found.value[2]:.3g});"
-        f" {_advice(advice, alone)}"
-    )
+    values = {"J": float(found.value[0]), "Fc": float(found.value[2])}
+    return finding(Reason.FLIPPED_SIGN, explained=flipped, as_given=given, alone=alone, **values)
 
 
 def _best_reading(
@@ -256,18 +236,10 @@ def _distance(value: Array, nominal: Array) -> float:
     return float(np.sum(np.abs(np.log(ratio))))
 
 
-def _advice(advice: str, alone: bool) -> str:
-    return (
-        "correct this record, not the model file, which is right for the others"
-        if alone
-        else advice
-    )
-
-
 # -- a wrong unit ----------------------------------------------------------------------------------
 def _wrong_factor(
     model: Model, nominal: Array, found: Regression, alone: bool = False
-) -> str | None:
+) -> Finding | None:
     """Return a proposal if one factor on one column explains the ratios of all estimates to
     `nominal` values (3,).
     """
@@ -275,33 +247,35 @@ def _wrong_factor(
     if not use[0]:
         return None
     off = np.log(np.where(use, found.value / np.where(use, nominal, 1.0), 1.0))
+    # the inertia alone tells no column from another
     if use.sum() < 2:
         if abs(off[0]) < math.log(ABSURD_FACTOR):
             return None
-        return (
-            f"J comes out at x{math.exp(off[0]):.3g} of its nominal value; check the units of"
-            " input, output and time"
-        )
+        return finding(Reason.WRONG_INERTIA, ratio=math.exp(off[0]))
     causes = sorted(_causes(off, use))
     if not causes or abs(causes[0][2]) < math.log(UNIT_FACTOR):
         return None
+    # the column that explains the ratios best, and others that may as well
     (_, cause, size), *others = causes
-    ratios = ", ".join(
-        f"{name} x{math.exp(x):.3g}"
-        for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True)
-        if used
-    )
-    other = "".join(
-        f", or {_size(model, cause, size)}"
-        for _, cause, size in others
-        if abs(size) > math.log(CAUSE_TOLERANCE[0])
-    )
+    ratios = {
+        name: math.exp(x) for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True) if used
+    }
+    kinds = {"input": model.input_kind, "output": model.output_kind, "time": "time"}
     column = {"input": model.input, "output": model.output, "time": model.time}[cause]
-    where = _advice(f"check the unit '{column.unit}' of column '{column.column}'", alone)
-    reasons = _reasons(model, cause, size, viscous=bool(use[1]))
-    return (
-        f"{_size(model, cause, size)}{other}: against the nominal values {ratios}; {where};"
-        f" possible causes: {reasons}"
+    return finding(
+        Reason.WRONG_FACTOR,
+        what=kinds[cause],
+        factor=math.exp(size),
+        others=tuple(
+            (kinds[other], math.exp(size))
+            for _, other, size in others
+            if abs(size) > math.log(CAUSE_TOLERANCE[0])
+        ),
+        ratios=tuple(ratios.items()),
+        column=column.column,
+        unit=column.unit,
+        causes=_reasons(model, cause, size, viscous=bool(use[1])),
+        alone=alone,
     )
 
 
@@ -317,9 +291,9 @@ def _causes(off: Array, use: NDArray[np.bool_]) -> Iterator[tuple[float, str, fl
             yield misfit, cause, size
 
 
-def _reasons(model: Model, cause: str, size: float, viscous: bool) -> str:
-    """Return what a factor exp(size) of a column may come from; `viscous`: a2 was estimated,
-    too.
+def _reasons(model: Model, cause: str, size: float, viscous: bool) -> tuple[tuple[str, str], ...]:
+    """Return what a factor exp(size) of a column may come from, each with its detail; `viscous`: a2
+    was estimated, too.
     """
     known = {
         f: text
@@ -329,29 +303,19 @@ def _reasons(model: Model, cause: str, size: float, viscous: bool) -> str:
     distance, text = min(
         (abs(size - s * math.log(f)), text) for f, text in known.items() for s in (1, -1)
     )
-    reasons = [text if distance < math.log(2.0) else "a wrong unit"]
-    reasons.append("a missing scale" if cause == "time" else "a missing gear ratio")
+    reasons = [("unit", text if distance < math.log(2.0) else "")]
+    reasons.append(("scale", "") if cause == "time" else ("gear", ""))
     if cause == "input" and "b" in model.parameters:
-        reasons.append(
-            f"a wrong b in [parameters], the {'force' if model.linear else 'torque'} per"
-            f" {model.input_unit}"
-        )
+        reasons.append(("gain", f"{'force' if model.linear else 'torque'} per {model.input_unit}"))
     # J alone: friction may have been identified from the same data
     if cause == "output" and not viscous:
-        reasons.append(
-            f"a {model.input_kind} at the rotor ahead of a gear, with J that of the load behind it"
-        )
-    return ", ".join(reasons)
+        reasons.append(("rotor", model.input_kind))
+    return tuple(reasons)
 
 
-def _size(model: Model, cause: str, size: float) -> str:
-    what = {"input": model.input_kind, "output": model.output_kind, "time": "time"}[cause]
-    return f"{what} looks a factor {math.exp(abs(size)):.3g} too {'large' if size > 0 else 'small'}"
-
-
-def _outside_bounds(model: Model, found: Regression) -> Iterator[str]:
-    """Give lines on estimates that lie well outside their bounds, and on the factor that they
-    share.
+def _outside_bounds(model: Model, found: Regression) -> Iterator[Finding]:
+    """Give what is said of estimates that lie well outside their bounds, and of the factor that
+    they share.
     """
     names = ("J", "a2", next((n for n in model.parameters if n.endswith(".Fc")), ""))
     ratios = {}
@@ -363,14 +327,13 @@ def _outside_bounds(model: Model, found: Regression) -> Iterator[str]:
         below = low > 0 and 0.0 < value + VALUE_ERRORS * error < low / BEYOND_BOUNDS
         if (above or below) and math.isfinite(nominal) and value > 0:
             ratios[name] = value / nominal
-            yield (
-                f"{name} comes out near {value:.3g} {model.unit(name)} without any effect, outside"
-                f" its bounds [{low:.3g}, {high:.3g}]; if that is true, widen them"
+            yield finding(
+                Reason.OUTSIDE_BOUNDS,
+                name=name,
+                value=float(value),
+                unit=model.unit(name),
+                bounds=(low, high),
             )
     if len(ratios) > 1 and max(ratios.values()) < BEYOND_BOUNDS * min(ratios.values()):
         common = math.exp(sum(map(math.log, ratios.values())) / len(ratios))
-        shown = f"{common:.3g}" if common > 1 else f"1/{1 / common:.3g}"
-        yield (
-            f"{' and '.join(ratios)} come out at {shown} of nominal alike: is the input a torque on"
-            " the other side of a gear?"
-        )
+        yield finding(Reason.COMMON_FACTOR, names=tuple(ratios), factor=common)

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.records import intake
+from bristle.records.clock import must_agree
 from bristle.records.intake import Requirements
 from bristle.records.record import Record
 
@@ -52,3 +54,21 @@ def records_from_arrays(
 def must_show(model: Model, records: Sequence[Record]) -> None:
     """Refuse records, made by hand maybe, as `bristle.records.intake.must_show` does."""
     intake.must_show(model, records, NEEDS)
+
+
+def check_arguments(model: Model, records: Sequence[Record]) -> None:
+    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays, or
+    records that show nothing.
+    """
+    must_be_model(model)
+    if not isinstance(records, Sequence) or not all(
+        isinstance(record, Record) for record in records
+    ):
+        raise BristleError(
+            "the records are not a list of Record; give what load_records or records_from_arrays"
+            " returns"
+        )
+    if not records:
+        raise BristleError("no record is given; give at least one")
+    must_agree(records)
+    must_show(model, records)

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Finding
 from bristle.diagnosis.estimation.noise import Noise, estimate, response
 from bristle.records.clock import one_after_the_other, overlap
 
 Mask = NDArray[np.bool_]
+SEGMENT_SECONDS = 0.4  # s: length of a segment for a servo of the usual time constant
 # s: half-width of the parabola that gives position and velocity at the start of a segment
 STATE_SMOOTHING = 0.02
 REST_STEPS = 3.0  # steps of the sensor within the smoothing window: a slower speed counts as rest
@@ -289,10 +291,10 @@ class Dataset:
     resolution: float  # step of the sensor [unit of the output]
     # standard deviation of an average below which the sensor's noise cannot be [unit of the output]
     least_sd: float
-    # why effects cannot be distinguished by their form in these records; empty if they can
-    poor_excitation: str = ""
+    # why the motion is too uniform to distinguish effects by their form; None if it is not
+    uniform: Finding | None = None
     # why an effect is no candidate, by its name
-    excluded: Mapping[str, str] = field(default_factory=dict)
+    excluded: Mapping[str, Finding] = field(default_factory=dict)
     linear: bool = False  # True if the axis does not turn
     turn: float = 2 * math.pi  # path after which the motion repeats [rad or m]: one turn of a shaft
     input_may_change: bool = False  # True if the input may change between samples

@@ -9,7 +9,7 @@ import numpy as np
 
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.inverse_dynamics import Balance, BalancedModel
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, mean_square, rescored
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, mean_square, rescored
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, resume
 from bristle.diagnosis.estimation.simulator import Servo
 
@@ -89,7 +89,7 @@ def fit_with_noise(dataset: Dataset, servo: Servo, values: Mapping[str, float]) 
     noise = dataset.noise(residual, (dataset.train & good).astype(float), values)
     problem, point = (
         Problem.of(dataset.segments, noise, dataset.train),
-        Point(simulator, servo.free, dict(values), initial),
+        FitPoint(simulator, servo.free, dict(values), initial),
     )
     fit = refit_with_noise(dataset, refit(problem, point, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN))
     problem = under_own_noise(dataset, fit)

@@ -72,7 +72,7 @@ class Elimination:
 
 
 @dataclass(frozen=True)
-class Point:
+class FitPoint:
     """A simulator with the values of its parameters (SI), those that are free, and initial states
     (segments, width).
     """
@@ -82,17 +82,19 @@ class Point:
     values: dict[str, float]
     initial: Array
 
-    def at(self, values: Mapping[str, float] | None = None, initial: Array | None = None) -> Point:
+    def at(
+        self, values: Mapping[str, float] | None = None, initial: Array | None = None
+    ) -> FitPoint:
         """Return the point with other values, initial states, or both."""
         values, initial = (
             self.values if values is None else dict(values),
             self.initial if initial is None else initial,
         )
-        return Point(self.simulator, self.free, values, initial)
+        return FitPoint(self.simulator, self.free, values, initial)
 
-    def fixed(self) -> Point:
+    def fixed(self) -> FitPoint:
         """Return the point with no parameter free."""
-        return Point(self.simulator, (), self.values, self.initial)
+        return FitPoint(self.simulator, (), self.values, self.initial)
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class Linearised:
 
 
 @dataclass(frozen=True)
-class Fit(Point):
+class Fit(FitPoint):
     """A point with its likelihood and what a step from it needs; fields of the same name as in
     `Linearised`.
     """
@@ -210,7 +212,7 @@ class Problem:
         )
 
 
-def evaluate(problem: Problem, point: Point) -> Fit:
+def evaluate(problem: Problem, point: FitPoint) -> Fit:
     """Simulate at a point and return its likelihood with derivatives; raise `OutOfTime` after the
     deadline.
     """
@@ -258,7 +260,7 @@ def rescored(problem: Problem, fit: Fit) -> Fit:
     )
 
 
-def scored(problem: Problem, point: Point, found: Linearised) -> Fit:
+def scored(problem: Problem, point: FitPoint, found: Linearised) -> Fit:
     """Return the likelihood of what a simulation at a point has given."""
     white = found.residual @ problem.noise.whiten.T
     mean, deviation = problem.prior_states(point.simulator, point.values)

@@ -17,7 +17,14 @@ from bristle.diagnosis.estimation.initial_states import (
     refine_initial_states,
     stepped_states,
 )
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, moved, rescored
+from bristle.diagnosis.estimation.likelihood import (
+    Fit,
+    FitPoint,
+    Problem,
+    evaluate,
+    moved,
+    rescored,
+)
 from bristle.diagnosis.estimation.simulator import Free
 from bristle.plant.effects import effect as find_effect
 
@@ -114,7 +121,10 @@ def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
 
 
 def refit(
-    problem: Problem, start: Point, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN
+    problem: Problem,
+    start: FitPoint,
+    iterations: int = FIT_ITERATIONS,
+    stop_gain: float = STOP_GAIN,
 ) -> Fit:
     """Maximise the likelihood from a start value of parameters and initial states, moved into the
     intervals of the parameters.

@@ -5,6 +5,7 @@ derivatives.
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Chains, Segments, chains_of
+from bristle.diagnosis.modelfile import NO_LIMIT
 from bristle.model.lanes import Lanes
 from bristle.model.native import pointer
 from bristle.model.program import Program
@@ -36,7 +38,19 @@ LEAST_PLAY = 1e-9  # rad: least half play by which a load's place is divided
 OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)
 # effects that take the place of these bristles
 BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)
+LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
+SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
 START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
+
+
+def fixed_values(h: float) -> dict[str, float]:
+    """Return the settings of the simulation for a sampling period."""
+    step = h / math.ceil(h / LONGEST_INTERNAL_STEP - 1e-9)
+    return {
+        "solver.friction_step": step,
+        "solver.tolerance": SMOOTH_LAW_TOLERANCE,
+        "u_max": NO_LIMIT,
+    }
 
 
 def play_parameter(effects: Sequence[str]) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Estimate
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import (
     NONSMOOTH_SPREADS,
@@ -28,30 +28,10 @@ EDGE_INTERVAL_FACTOR = 5.0
 PARABOLA_TRIALS = 6
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
 RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
-# from the strength of an effect to an end of its interval, over the strength, which must be less
-STRENGTH_HALF_WIDTH = 0.5
-ANY_STRENGTH = 1.0  # the same of one that must not be nothing: 0 is outside its interval
+# half an interval of the strength of an effect over its value, of one that must not be nothing: 0
+# is outside its interval then
+ANY_STRENGTH = 1.0
 WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a
-    limit.
-    """
-
-    value: float
-    unit: str
-    ci95: tuple[float, float] | None
-    at_bound: bool = False
-
-    def known_within(self, share: float) -> bool:
-        """True if its interval ends less than this share of its value away, and it is at no end of
-        what it may be.
-        """
-        if self.ci95 is None or self.at_bound:
-            return False
-        return max(self.ci95[1] - self.value, self.value - self.ci95[0]) < share * abs(self.value)
 
 
 def covariance(fit: Fit) -> Array:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from bristle.diagnosis.checks.preparation import base_servo_of
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, mean_square
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import Noise, white_noise
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.preparation import base_servo_of
 
 # of the gap: error of a servo up to which its parameters may move within the model's own bounds
 FMU_CLOSE = 0.1
@@ -63,7 +63,7 @@ def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
     an accident.
     """
     s, counted = copy.segments, copy.segments.counted
-    start = Point(servo.simulator(s), servo.free, dict(values), s.initial)
+    start = FitPoint(servo.simulator(s), servo.free, dict(values), s.initial)
     fit = evaluate(Problem.of(s, _white(copy, 1.0), counted), start)
     for _ in range(FMU_FIT_ROUNDS):
         problem = Problem.of(s, _white(copy, math.sqrt(mean_square(fit, counted))), counted)

@@ -4,15 +4,15 @@ each whole record.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bristle.common.errors import RestartError
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Finding, Progress, Reason, finding
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
-from bristle.diagnosis.selection.start_values import Progress
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import (
     Replay,
@@ -29,49 +29,46 @@ FMU_LEAD = 0.04
 
 def simulate_segments(
     fmu: Fmu, dataset: Dataset, tell: Progress, timeout: float | None = None
-) -> tuple[Segments, list[str]]:
+) -> tuple[Segments, Finding]:
     """Return the segments with outputs and initial states of the FMU in place of the measured ones,
-    and a line on how it ran.
+    and how it ran.
 
     Simulating them may take `timeout` seconds.
     """
     tell("simulating the FMU", 0.0)
-    s = dataset.segments
-    outputs = (
-        ("v",)
-        if s.velocity
-        else ("theta", "v")
-        if fmu.has("v", "output") and fmu.is_real("v")
-        else ("theta",)
-    )
+    s, name = dataset.segments, fmu.path.name
     wanted = ("v",) if s.velocity else ("theta", "v")
-    begins = {
-        name: variable for name in wanted if (variable := start_variable(fmu, name)) is not None
-    }
+    shows_velocity = fmu.has("v", "output") and fmu.is_real("v")
+    outputs = wanted if s.velocity or shows_velocity else ("theta",)
     try:
-        for name in wanted:
-            if name not in begins:
-                raise RestartError(f"no parameter {name}_start and no start value of {name}")
+        begins = _start_variables(fmu, wanted)
+        # segment by segment, each from a little before its start
         lead = round(FMU_LEAD / s.h)
         stretches = tuple(_stretches(dataset, lead, begins))
-        known = {name: variable for name, variable in begins.items() if name in outputs}
+        known = {key: variable for key, variable in begins.items() if key in outputs}
         replay = Replay(fmu, s.h, stretches, outputs, known)
         played = replay_segments(
             replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)), timeout
         )
-        return _gathered(s, played, lead), [
-            f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments,"
-            f" {lead * s.h:.3g} s before it, with {' and '.join(begins.values())} as measured; its"
-            " other states begin at their start values"
-        ]
+        how = {"way": played.way, "segments": len(stretches), "lead": lead * s.h}
+        starts = tuple(begins.values())
+        said = finding(Reason.FMU_BY_SEGMENT, fmu=name, variables=starts, **how)
+        return _gathered(s, played, lead), said
     except RestartError as error:
         whole = tuple(ReplaySegment(piece.time, piece.u, {}) for piece in s.pieces)
         played = replay_records(Replay(fmu, s.h, whole, outputs, {}), timeout)
-        line = (
-            f"{fmu.path.name} cannot be restarted at each segment ({error}): whole records were"
-            " simulated from its start values"
-        )
-        return _cut(s, played), [line]
+        return _cut(s, played), finding(Reason.FMU_BY_RECORD, fmu=name, why=str(error))
+
+
+def _start_variables(fmu: Fmu, wanted: Sequence[str]) -> dict[str, str]:
+    """Return what each state is started by; `RestartError` where there is none."""
+    begins = {}
+    for name in wanted:
+        variable = start_variable(fmu, name)
+        if variable is None:
+            raise RestartError(f"no parameter {name}_start and no start value of {name}")
+        begins[name] = variable
+    return begins
 
 
 def _stretches(dataset: Dataset, lead: int, begins: Mapping[str, str]) -> Iterator[ReplaySegment]:

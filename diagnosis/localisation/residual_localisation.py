@@ -16,12 +16,13 @@ from scipy.fft import rfft, rfftfreq
 from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
+from bristle.diagnosis.answer import LISTED_VIEW_P, OUTLIERS, Reason, ResidualView, finding
 from bristle.diagnosis.estimation.dataset import Dataset, Motion
 from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, evaluate
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance
-from bristle.diagnosis.localisation.views import Share, View, bases, clocks, harmonics
+from bristle.diagnosis.localisation.views import Share, bases, clocks, harmonics
 from bristle.plant.wording import ROTARY, Wording
 
 Array = NDArray[np.float64]
@@ -32,16 +33,12 @@ DRAWS_AT_ONCE = 50  # draws whose spectra are computed together
 # draws as high as the observed line after which a spectral line counts as an ordinary one
 SUFFICIENT_DRAWS = 20
 LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # smallest p that is reported
-LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
 VIEW_RIDGE = 1e-3  # ridge of a view's regression, relative to its mean power
 TONE_BAND = (0.2, 45.0)  # frequencies [Hz] at which an oscillation in time is searched
 SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record
 MOST_PERIODS = 60  # periods in a turn up to which a wave along the position is searched
 MAPPED_VIEWS = 6  # views whose residual is drawn
-# views that contain the sensor's own noise in a closed loop, which a residual follows in any case
-SENSOR_VIEWS = ("du",)
 OUTLIER_MISFIT = 5.0  # mean whitened squared error of a segment from which it is an outlier
-OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 
 
 def spectrum(
@@ -95,7 +92,10 @@ def _searched(
         (clock == k)[:, None] * harmonics(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)
     ]
     found: dict[str, tuple[Array, dict[str, Any]]] = {
-        "tone": (np.column_stack(own), {"label": f"{tone:.3g} Hz", "frequency": tone})
+        "tone": (
+            np.column_stack(own),
+            {"label": finding(Reason.WAVE_IN_TIME, frequency=tone), "frequency": tone},
+        )
     }
     turns = np.arange(1.0, MOST_PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
@@ -112,10 +112,11 @@ def _searched(
             axis=0,
         )
         periods = float(turns[int(np.argmax(power))])
+        label = finding(Reason.WAVE_ALONG_PATH, periods=periods, path=wording.range)
         waves = [f[:, None] * harmonics(periods * m.theta, 1) for f in factors]
         found[view] = (
             np.column_stack(waves),
-            {"label": f"{periods:.3g} in {wording.range}", "periods": periods},
+            {"label": label, "periods": periods},
         )
     return found
 
@@ -211,7 +212,12 @@ def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]
         )
     )
     worst = m.time.reshape(response.shape)[live[int(np.argmax(misfit))], 0]
-    label = f"{np.count_nonzero(far)} of {len(live)} segments, the worst at {worst:.3g} s"
+    label = finding(
+        Reason.OUTLIER_SEGMENTS,
+        segments=int(np.count_nonzero(far)),
+        of=len(live),
+        worst=float(worst),
+    )
     return Share(OUTLIERS, float(power[far].sum() / power.sum()), p, label)
 
 
@@ -277,7 +283,7 @@ def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
 
 def localise(
     dataset: Dataset, base: FittedModel, final: FittedModel
-) -> tuple[tuple[View, ...], list[Share]]:
+) -> tuple[tuple[ResidualView, ...], list[Share]]:
     """Return the views before and after, both under the final model's noise, with maps; and the
     shares after.
     """
@@ -290,7 +296,7 @@ def localise(
     before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)
     responses = ResidualResponse(base, dataset), response  # each under its own noise
     later = {share.view: share for share in after}
-    views: list[View] = []
+    views: list[ResidualView] = []
     maps = 0
     for share in before:
         late, drawn = later[share.view], {}
@@ -299,5 +305,7 @@ def localise(
             drawn = drawn or residual_map(share.view, dataset.motion, old, new)
         maps += bool(drawn)
         ps = max(share.p, LEAST_VIEW_P), max(late.p, LEAST_VIEW_P)
-        views.append(View(share.view, share.share, ps[0], late.share, ps[1], share.label, **drawn))
+        views.append(
+            ResidualView(share.view, share.share, ps[0], late.share, ps[1], share.label, **drawn)
+        )
     return tuple(views), after

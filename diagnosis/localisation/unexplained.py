@@ -7,16 +7,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from bristle.diagnosis.answer import CERTAIN_P, MIN_SHARE, OUTLIERS, SENSOR_VIEWS, Unexplained
 from bristle.diagnosis.estimation.fitted_model import LARGE_DISTURBANCE
-from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SENSOR_VIEWS
 from bristle.diagnosis.localisation.views import Share, is_form, is_same, periods_of
 from bristle.plant.effects import effect as find_effect
 
-CERTAIN_P = 0.03  # p over all views up to which a share is taken for real
 # p of a view by itself up to which its wave is taken for real, where a named effect has the same
 # period
 VIEW_ALONE_P = 0.05
-MIN_SHARE = 0.15  # share of the residual's power that a view must predict to be reported
 # the same where nothing is named and the model misses some segment by far
 OUTLIER_RECORD_SHARE = 0.08
 # p that no draw reaches, and the share that is enough then, where nothing is named
@@ -25,25 +23,6 @@ MIN_SHARE_OF_GAP = 0.1  # share of the error before, once an effect is named
 SAME_WAVE_SHARE_OF_GAP = 0.05  # the same for a wave with the period of the named effect
 # share of the residual of an oscillation in time, however small beside the error before
 TONE_SHARE = 0.3
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """Whether a part of the residual is unexplained."""
-
-    flag: bool
-    view: str | None  # that it shows in
-    share: float  # of the residual
-    # rms of the disturbance torque that the fit needs, over that of the input's torque
-    disturbance: float = 0.0
-    label: str = ""  # as of the `Share`
-
-    @property
-    def predictable(self) -> bool:
-        """Whether so much of the residual is predicted, reported or not, that noise alone is less
-        than the residual.
-        """
-        return self.flag or (self.view is not None and self.share >= MIN_SHARE)
 
 
 @dataclass(frozen=True)

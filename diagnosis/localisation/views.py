@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.diagnosis.answer import Line
 from bristle.diagnosis.estimation.dataset import Motion
 from bristle.plant.effects import effect as find_effect
 
@@ -36,7 +37,7 @@ class Share:
     view: str  # the variables that the residual is taken for a function of
     share: float  # share of the residual's power in the output
     p: float  # probability that chance predicts as much in any view
-    label: str = ""  # what was found in it, such as "7 in a turn"
+    label: Line = ""  # what was found in it, such as a wave
     alone: float = 1.0  # probability that chance predicts as much in this view alone
     periods: float | None = None  # of the wave that was found along the position [1/turn]
     frequency: float | None = None  # of the wave that was found in time [Hz]
@@ -48,28 +49,6 @@ class Share:
         if self.frequency is not None:
             return 1 / self.frequency
         return None if self.periods is None else turn / self.periods
-
-
-@dataclass(frozen=True)
-class View:
-    """What a view predicts of the residual before and after the named effects were added; shares,
-    p, label as of `Share`.
-    """
-
-    view: str
-    share: float
-    p: float
-    share_after: float
-    p_after: float
-    label: str = ""
-    # (bins,), values of the variable [SI] at which it is drawn
-    centres: Array = field(default_factory=lambda: np.empty(0))
-    # (lines, bins), residual torque there [N.m; N on a linear axis]
-    before: Array = field(default_factory=lambda: np.empty(0))
-    after: Array = field(default_factory=lambda: np.empty(0))  # the same
-    lines: tuple[str, ...] = ()  # names of the lines, such as forward and backward
-    # length of one period, if that is what is drawn [unit of the variable]
-    period: float | None = None
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:

@@ -24,17 +24,13 @@ from bristle.common.output import (
 )
 from bristle.common.provenance import provenance
 from bristle.common.work import TemporaryFolder
+from bristle.diagnosis.answer import DesignedInput, Diagnosis, Estimate, UnnamedTorque
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
-from bristle.diagnosis.report.figures import draw
+from bristle.diagnosis.report.figures.of_diagnosis import draw
 from bristle.diagnosis.report.html import render
-from bristle.diagnosis.report.result import (
-    EXPERIMENT_FILE,
-    DesignedInput,
-    Diagnosis,
-    Estimate,
-    UnnamedTorque,
-)
+from bristle.diagnosis.report.text.designed import EXPERIMENT_FILE
+from bristle.diagnosis.report.text.statement import not_offered
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
 from bristle.fmus.related import related_files
@@ -248,8 +244,8 @@ def _package(
 
 def nothing_filled(diagnosis: Diagnosis) -> str:
     """Return why no unnamed torque was put into the augmented model."""
-    if diagnosis.unnamed is not None:
-        why = diagnosis.unnamed.reason
+    if diagnosis.unnamed is not None and diagnosis.unnamed.refused is not None:
+        why = not_offered(diagnosis.unnamed.refused)
     else:
         why = "it was not looked for" if diagnosis.remains.flag else "nothing much is unexplained"
     return f"No unnamed {diagnosis.model.wording.torque} was added: {why}."

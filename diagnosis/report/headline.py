@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bristle.diagnosis.report.figures import as_given
-from bristle.diagnosis.report.result import Diagnosis
-from bristle.diagnosis.report.text import listed, titles_listed
+from bristle.diagnosis.answer import Diagnosis
+from bristle.diagnosis.report.figures.of_diagnosis import as_given
+from bristle.diagnosis.report.text.names import listed, titles_listed
 
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 VERDICTS = {

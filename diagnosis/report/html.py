@@ -13,22 +13,28 @@ from markupsafe import Markup
 
 from bristle.common import pages
 from bristle.common.pages import number
-from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P, SENSOR_VIEWS
-from bristle.diagnosis.localisation.unexplained import CERTAIN_P, MIN_SHARE
-from bristle.diagnosis.report.figures import as_given, captions, improved
+from bristle.diagnosis.answer import (
+    CERTAIN_P,
+    LISTED_VIEW_P,
+    MIN_SHARE,
+    SENSOR_VIEWS,
+    Diagnosis,
+    Estimate,
+    Round,
+)
+from bristle.diagnosis.report.figures.of_diagnosis import as_given, captions, improved
 from bristle.diagnosis.report.headline import headline, mark
-from bristle.diagnosis.report.result import Diagnosis, Estimate, Round
-from bristle.diagnosis.report.text import (
+from bristle.diagnosis.report.text.names import (
     NATS,
     OUTLIER_NOTE,
     effect_name,
     effects_listed,
     listed,
     rounded,
-    unexplained_line,
-    unnamed_line,
     view_name,
 )
+from bristle.diagnosis.report.text.said import said
+from bristle.diagnosis.report.text.statement import unexplained_line, unnamed_line
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
@@ -88,8 +94,8 @@ def interval(value: float, low: float, high: float) -> Markup:
 
 
 def _records(diagnosis: Diagnosis) -> str:
-    said = (f"{each.name} ({np.ptp(each.time):.3g} s)" for each in diagnosis.traces)
-    return "; ".join(said) or "records that contradict the model"
+    texts = (f"{each.name} ({np.ptp(each.time):.3g} s)" for each in diagnosis.traces)
+    return "; ".join(texts) or "records that contradict the model"
 
 
 def _effects(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
@@ -132,7 +138,7 @@ def _round(found: Round, wording: Wording) -> dict[str, Any]:
         "gain": None if best is None else best.gain,
         "null_level": found.null_level,
         "p": found.p,
-        "decision": found.decision,
+        "decision": said(found.decision),
     }
 
 
@@ -172,6 +178,6 @@ def _model(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
     return {
         "columns": columns,
         "units": units,
-        "caveats": excited.pop("caveats", ()),
+        "caveats": excited.pop("caveats"),
         "excited": excited,
     }

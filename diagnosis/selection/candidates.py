@@ -4,6 +4,7 @@ distribution of their gains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,12 +13,13 @@ import numpy as np
 from bristle.common.deadline import within
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Assessment, CandidateEffect, Finding, Reason, finding
 from bristle.diagnosis.estimation.initial_states import (
     REFINEMENT_STEPS,
     initialise_load,
     refine_initial_states,
 )
-from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import (
     FIT_ITERATIONS,
     refit_nonsmooth,
@@ -26,7 +28,6 @@ from bristle.diagnosis.estimation.optimiser import (
 )
 from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
-from bristle.diagnosis.selection.effect_size import LEAST_FALL, LEAST_NET_SHARE
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
 from bristle.plant.effects import effect as find_effect
@@ -34,7 +35,7 @@ from bristle.plant.effects import effect as find_effect
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
 # most repetitions of the steps of a candidate that is still below the model without it, but rising
 CLIMB_REPEATS = 4
-OUT_OF_TIME = "not tried, or not to the end: the time budget was used up"
+OUT_OF_TIME = finding(Reason.OUT_OF_TIME)  # why an effect was not tried, or not to the end
 # nats: predicted gain of an effect that has no influence at its start values
 INERT_GAIN = (-20.0, 2.0)
 # nats: a contact that is predicted to stay this far below the model without it is not refitted
@@ -63,52 +64,7 @@ EXHAUSTIVE = Effort(14, 25, True)
 
 
 @dataclass(frozen=True)
-class Assessment:
-    """What an effect is worth, compared with the model without it."""
-
-    level: float = 0.0  # gain that chance reaches [nats]
-    # factor by which the mean squared error falls where the effect acts
-    error_reduction: float = 1.0
-    # of the log predictive density of all segments, each under parameters fitted without it [nats]
-    predictive_gain: float = 0.0
-    net_share: float = 0.0  # of the gains and losses of all segments that is gain
-    # by how much the best candidate is likelier, and the standard error of that [nats]
-    deficit: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def large_enough(self) -> bool:
-        """True if the error falls by a factor that matters."""
-        return self.error_reduction >= LEAST_FALL
-
-    @property
-    def confirmed(self) -> bool:
-        """True if segments become likelier under parameters that were fitted without them, by more
-        than chance gives.
-        """
-        return self.predictive_gain > self.level
-
-    @property
-    def consistent(self) -> bool:
-        """True if few segments become less likely."""
-        return self.net_share >= LEAST_NET_SHARE
-
-    @property
-    def accepted(self) -> bool:
-        """True if the effect meets the criterion."""
-        return self.large_enough and self.confirmed and self.consistent
-
-    @property
-    def objection(self) -> str:
-        """Which part of the criterion the effect does not meet, or an empty text."""
-        if not self.large_enough:
-            return "lowers the squared error too little"
-        if not self.confirmed:
-            return "does not make segments likelier that its parameters were not fitted to"
-        return "" if self.consistent else "makes too many segments less likely"
-
-
-@dataclass(frozen=True)
-class Candidate:
+class EffectFit:
     """An effect fitted to the records together with the model."""
 
     name: str
@@ -117,7 +73,7 @@ class Candidate:
     directions: tuple[Array, ...] = ()
     predicted: float = -np.inf  # log-likelihood that the next step predicts [nats]
     other_starts: tuple[Fit, ...] = ()  # further start values
-    reason: str = ""
+    reason: Finding | None = None
     # of a candidate that was compared with others above the null's level
     assessment: Assessment | None = None
 
@@ -130,6 +86,12 @@ class Candidate:
     def penalised_likelihood(self) -> float:
         """Log-likelihood less half the Bayesian information criterion's penalty [nats]."""
         return -np.inf if self.fit is None else self.fit.penalised
+
+    def reported(self, null: Null, base: float) -> CandidateEffect:
+        """Return what is reported of it; `base` is the log-likelihood without it [nats]."""
+        gain = self.fit.total - base if self.fit else math.nan
+        level = null.level(self.name)
+        return CandidateEffect(self.name, gain, level, self.reason, self.assessment)
 
     def gain_over(self, fit: Fit) -> float:
         """Return by how much it is likelier than another fit under the same noise [nats]."""
@@ -158,21 +120,21 @@ class Candidate:
 
 def fit_candidates(
     context: SearchContext, names: Sequence[str], effort: Effort
-) -> tuple[list[Candidate], Null]:
+) -> tuple[list[EffectFit], Null]:
     """Return the named effects, the most promising of them refitted to the end, and the null of the
     largest gain.
     """
     context.prepare()
     done: list[str] = []
 
-    def screened(name: str) -> Candidate:
+    def screened(name: str) -> EffectFit:
         if context.options.late:
-            return Candidate(name, None, reason=OUT_OF_TIME)
+            return EffectFit(name, None, reason=OUT_OF_TIME)
         done.append(name)
         context.options.progress(name, (len(done) - 1) / max(len(names), 1))
-        return in_time(lambda: _screened(context, name, effort), Candidate(name, None))
+        return in_time(lambda: _screened(context, name, effort), EffectFit(name, None))
 
-    def in_time(candidate: Callable[[], Candidate], otherwise: Candidate) -> Candidate:
+    def in_time(candidate: Callable[[], EffectFit], otherwise: EffectFit) -> EffectFit:
         return within(context.options.deadline, candidate) or replace(otherwise, reason=OUT_OF_TIME)
 
     cheap_first = sorted(names, key=lambda name: bool(find_effect(name).coupling))
@@ -203,16 +165,16 @@ def fit_candidates(
     return tried, _null(context, tried)
 
 
-def _screened(context: SearchContext, name: str, effort: Effort) -> Candidate:
+def _screened(context: SearchContext, name: str, effort: Effort) -> EffectFit:
     """Return an effect after a few steps from its best start values."""
     if name in context.dataset.excluded:
-        return Candidate(name, None, reason=context.dataset.excluded[name])
+        return EffectFit(name, None, reason=context.dataset.excluded[name])
     effort = EXHAUSTIVE if name in context.options.exhaustive else effort
     candidate = evaluate_starts(context, name, effort)
     return advance_candidate(context, candidate, effort) if candidate.fit else candidate
 
 
-def _most_promising(context: SearchContext, tried: Sequence[Candidate], null: Null) -> set[str]:
+def _most_promising(context: SearchContext, tried: Sequence[EffectFit], null: Null) -> set[str]:
     """Return the names of the candidates that are refitted to the end."""
     least = context.fit.total
     hopeful = [
@@ -226,7 +188,7 @@ def _most_promising(context: SearchContext, tried: Sequence[Candidate], null: Nu
     }
 
 
-def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
+def _null(context: SearchContext, tried: Sequence[EffectFit]) -> Null:
     """Return the null of the largest gain; what the best candidate explains does not count as
     noise.
     """
@@ -241,7 +203,7 @@ def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
 
 
 # -- start values ----------------------------------------------------------------------------------
-def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candidate:
+def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> EffectFit:
     """Return an effect at the start value with the largest predicted likelihood, and the next best
     ones.
     """
@@ -251,7 +213,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candid
         try:
             simulator = context.fitted.servo.simulator(fit.simulator.segments.timed(times), (name,))
         except BristleError as error:
-            return Candidate(name, None, reason=str(error))
+            return EffectFit(name, None, reason=finding(Reason.REFUSED, why=str(error)))
         for start in (
             *context.start_values(name, context.evidence_at(times)),
             *bristle_starts(context.fitted, name),
@@ -281,7 +243,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candid
     trials = _with_load_initialised(context, name, sorted(trials, key=lambda trial: -trial[0]))
     wave = context.fits_poorly and bool(find_effect(name).periods)
     (predicted, best), *rest = trials[: max(effort.starts, WAVE_STARTS if wave else 0)]
-    return Candidate(name, best, tuple(explained), predicted, tuple(fit for _, fit in rest))
+    return EffectFit(name, best, tuple(explained), predicted, tuple(fit for _, fit in rest))
 
 
 def _fit_at(
@@ -307,7 +269,7 @@ def _fit_at(
     inside = {f.name: f.clip(whole[f.name]) for f in free}
     steps = REFINEMENT_STEPS if fit.simulator.play else 0
     return refine_initial_states(
-        problem, evaluate(problem, Point(simulator, free, whole | inside, states)), steps
+        problem, evaluate(problem, FitPoint(simulator, free, whole | inside, states)), steps
     )
 
 
@@ -340,7 +302,7 @@ def _with_load_initialised(context: SearchContext, name: str, trials: list[Trial
 
 
 # -- refits ----------------------------------------------------------------------------------------
-def advance_candidate(context: SearchContext, candidate: Candidate, effort: Effort) -> Candidate:
+def advance_candidate(context: SearchContext, candidate: EffectFit, effort: Effort) -> EffectFit:
     """Take steps from the best start values and keep the better result; from one only where no gain
     is predicted.
 
@@ -384,7 +346,7 @@ def _advanced(context: SearchContext, fit: Fit, steps: int, repeats: int) -> Tri
     return fit.total, fit
 
 
-def refit_to_end(context: SearchContext, candidate: Candidate) -> Candidate:
+def refit_to_end(context: SearchContext, candidate: EffectFit) -> EffectFit:
     """Refit a candidate; an effect that switches under the noise of its own residual, which matters
     then.
     """

@@ -4,27 +4,28 @@ candidates, and ties.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Assessment, Finding, Round
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
-from bristle.diagnosis.selection.candidates import OUT_OF_TIME, Assessment, Candidate
+from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.discretisation import finer_gain
 from bristle.diagnosis.selection.effect_size import fall, net_share, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effects as all_effects
 
-Outcome = Literal["none", "rejected", "limit", "tie", "added", "withdrawn"]
 # of the best gain: least gain of a candidate that is refitted under the best one's noise
 CONTENDER_SHARE = 0.2
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
@@ -35,34 +36,37 @@ SIMPLER_ERRORS = 1.0
 
 
 @dataclass(frozen=True)
-class SearchRound:
-    """One round of the search."""
+class TrialRound:
+    """A round of the search: what is said of it, and the fits behind that."""
 
-    candidates: tuple[Candidate, ...]
+    said: Round
+    trials: tuple[EffectFit, ...]
     null: Null  # of the largest gain of its candidates
     base: float  # log-likelihood without any of them, under the noise of the best one [nats]
-    best: Candidate | None = None  # None if no candidate is above the null's level
-    gain: float = 0.0  # of the best one [nats]
-    ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
-    decision: str = ""  # what was decided and why, for the report; empty until it is
-    # the same as a word: "limit" where a parameter of the best candidate presses against the end of
-    # its interval, so that it stands in for something else; of a candidate that was "withdrawn",
-    # the effect was added and later removed
-    outcome: Outcome = "none"
-    finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
-    cut_short: bool = False  # whether the time budget kept it from trying all start values
+    best: EffectFit | None = None  # None if no candidate is above the null's level
 
-    @property
-    def named(self) -> bool:
-        """True if its best candidate was added."""
-        return self.outcome == "added"
-
-    @property
-    def unfinished(self) -> tuple[str, ...]:
-        """Candidates that were not tried, or not to the end, since the time budget did not
-        suffice.
+    @classmethod
+    def of(
+        cls,
+        trials: Sequence[EffectFit],
+        null: Null,
+        base: float,
+        best: EffectFit | None = None,
+        gain: float = 0.0,
+    ) -> TrialRound:
+        """Return a round that is not decided yet; `gain` of the best candidate, or of the one that
+        comes nearest [nats].
         """
-        return tuple(c.name for c in self.candidates if c.reason == OUT_OF_TIME)
+        candidates = [trial.reported(null, base) for trial in trials]
+        candidates.sort(key=lambda c: math.inf if math.isnan(c.gain) else -c.gain)
+        name = best.name if best else None
+        top = name or (candidates[0].name if candidates else "")
+        said = Round(tuple(candidates), null.level(top), null.p(top, gain), "none", "", name, gain)
+        return cls(said, tuple(trials), null, base, best)
+
+    def with_said(self, **changes: Any) -> TrialRound:
+        """Return the round with other things said of it."""
+        return replace(self, said=replace(self.said, **changes))
 
     @property
     def assessment(self) -> Assessment:
@@ -74,58 +78,62 @@ class SearchRound:
         """Gain of its best candidate that chance reaches [nats]."""
         return self.null.level(self.best.name if self.best else "")
 
-    def rejected(self, decision: str, *, keep_ties: bool = False) -> SearchRound:
+    def rejected(self, decision: Finding, *, keep_ties: bool = False) -> TrialRound:
         """Return the round with its best candidate rejected."""
-        return replace(
-            self, decision=decision, outcome="rejected", ties=self.ties if keep_ties else ()
-        )
+        ties = self.said.ties if keep_ties else ()
+        return self.with_said(decision=decision, outcome="rejected", ties=ties)
+
+    def limited(self, decision: Finding) -> TrialRound:
+        """Return the round with a best candidate that stands in for something else."""
+        return self.with_said(decision=decision, outcome="limit", ties=())
 
 
 def accept_or_reject(
-    context: SearchContext, tried: Sequence[Candidate], above_level: Sequence[Candidate], null: Null
-) -> SearchRound:
+    context: SearchContext, tried: Sequence[EffectFit], above_level: Sequence[EffectFit], null: Null
+) -> TrialRound:
     """Return the comparison of the candidates above the null's level, under the noise of the best
     one's residual.
     """
     problem, contenders = _refitted_contenders(context, _inside_limits(context, above_level))
     contenders = _inside_limits(context, contenders)
     plain = _refitted_plain(problem, context.fit, _likeliest(contenders))
-    comparison = Comparison.of(context.dataset, problem, plain)
+    # what each is worth, and the best of those that are worth enough
+    reference = ReferenceModel.of(context.dataset, problem, plain)
     contenders = [
-        replace(c, assessment=comparison.assess(c.fit, null.level(c.name)))
+        replace(c, assessment=reference.assess(c.fit, null.level(c.name)))
         for c in contenders
         if c.fit
     ]
     accepted = [c for c in contenders if c.assessment and c.assessment.accepted]
     best = simplest(accepted) if accepted else _likeliest(contenders)
-    uniform = bool(context.dataset.poor_excitation)
+    uniform = context.dataset.uniform is not None
     ties = tuple(
         c.name for c in accepted if c.name != best.name and is_tied(best, c, plain, uniform)
     )
-    deficits = [(c, c.assessment, likelihood_difference(best, c)) for c in contenders]
-    contenders = [
-        replace(c, assessment=replace(a, deficit=deficit)) for c, a, deficit in deficits if a
-    ]
+    # how far each is behind the best one
+    contenders = [_with_deficit(best, c) for c in contenders]
     [best] = [c for c in contenders if c.name == best.name]
     assert best.fit is not None
     candidates = {c.name: c for c in (*tried, *contenders)}
-    return SearchRound(
-        tuple(candidates.values()),
-        null,
-        plain.total,
-        best,
-        best.gain_over(plain),
-        ties,
-        finer_gain=finer_gain(problem, plain, best.fit),
+    compared = TrialRound.of(
+        tuple(candidates.values()), null, plain.total, best, best.gain_over(plain)
     )
+    return compared.with_said(ties=ties, finer_gain=finer_gain(problem, plain, best.fit))
+
+
+def _with_deficit(best: EffectFit, other: EffectFit) -> EffectFit:
+    """Return a candidate that was assessed with how far it is behind the best one."""
+    assert other.assessment is not None
+    deficit = likelihood_difference(best, other)
+    return replace(other, assessment=replace(other.assessment, deficit=deficit))
 
 
 # -- fits under the same noise ---------------------------------------------------------------------
-def _likeliest(candidates: Sequence[Candidate]) -> Candidate:
+def _likeliest(candidates: Sequence[EffectFit]) -> EffectFit:
     return max(candidates, key=lambda c: c.penalised_likelihood)
 
 
-def _inside_limits(context: SearchContext, candidates: Sequence[Candidate]) -> list[Candidate]:
+def _inside_limits(context: SearchContext, candidates: Sequence[EffectFit]) -> list[EffectFit]:
     """Return the candidates that end within the limits of the records; all of them if none does."""
     return [c for c in candidates if c.inside_limits(context.fitted.servo.limits)] or list(
         candidates
@@ -133,8 +141,8 @@ def _inside_limits(context: SearchContext, candidates: Sequence[Candidate]) -> l
 
 
 def _refitted_contenders(
-    context: SearchContext, candidates: Sequence[Candidate]
-) -> tuple[Problem, list[Candidate]]:
+    context: SearchContext, candidates: Sequence[EffectFit]
+) -> tuple[Problem, list[EffectFit]]:
     """Return those that come near the best one, refitted under its noise until the best one stays
     the best.
     """
@@ -154,14 +162,14 @@ def _refitted_contenders(
     return problem, contenders
 
 
-def _resumed(problem: Problem, candidate: Candidate) -> Candidate:
+def _resumed(problem: Problem, candidate: EffectFit) -> EffectFit:
     """Return a candidate refitted under a problem."""
     return replace(
         candidate, fit=candidate.fit and resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN)
     )
 
 
-def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
+def _refitted_plain(problem: Problem, fit: Fit, best: EffectFit) -> Fit:
     """Return the model without any candidate, refitted from its own parameters and from those
     beside the best candidate.
 
@@ -179,7 +187,7 @@ def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
 
 # -- assessment ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Comparison:
+class ReferenceModel:
     """What a model with a further effect, or another shape of one, is compared with."""
 
     density: Array  # (segments,): log predictive density of the model without it [nats]
@@ -188,7 +196,7 @@ class Comparison:
     train: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, dataset: Dataset, problem: Problem, plain: Fit) -> Comparison:
+    def of(cls, dataset: Dataset, problem: Problem, plain: Fit) -> ReferenceModel:
         """Return it for a model without the effect, fitted under the problem of the training
         segments.
         """
@@ -210,7 +218,7 @@ class Comparison:
 
 
 # -- the best one, and ties ------------------------------------------------------------------------
-def simplest(candidates: Sequence[Candidate]) -> Candidate:
+def simplest(candidates: Sequence[EffectFit]) -> EffectFit:
     """Return the likeliest candidate, or one with fewer parameters that is less than a standard
     error behind.
 
@@ -224,7 +232,7 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
     return min((best, *close), key=lambda c: (c.size, -c.penalised_likelihood))
 
 
-def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, float]:
+def likelihood_difference(best: EffectFit, other: EffectFit) -> tuple[float, float]:
     """Return by how much the best candidate is likelier than another [nats] and the standard error
     of that.
 
@@ -237,12 +245,12 @@ def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, flo
     return deficit, float(np.std(difference) * np.sqrt(len(difference)))
 
 
-def _is_close(best: Candidate, other: Candidate) -> bool:
+def _is_close(best: EffectFit, other: EffectFit) -> bool:
     deficit, error = likelihood_difference(best, other)
     return deficit < SIMPLER_ERRORS * error
 
 
-def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> bool:
+def is_tied(best: EffectFit, other: EffectFit, plain: Fit, uniform: bool) -> bool:
     """True if the records do not distinguish two candidates; in `uniform` motion every strong one
     is tied.
 

@@ -4,7 +4,7 @@ simulation.
 
 from __future__ import annotations
 
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import maximise
 
 STEP_SHARE = 0.2  # of a gain: largest change with the step of the simulation
@@ -21,7 +21,7 @@ def finer_gain(problem: Problem, plain: Fit, best: Fit) -> float:
     """
     known = best.total - plain.total
     fine = [
-        evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.initial))
+        evaluate(problem, FitPoint(fit.simulator.finer(), fit.free, fit.values, fit.initial))
         for fit in (plain, best)
     ]
     gain = fine[1].total - fine[0].total

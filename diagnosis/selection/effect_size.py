@@ -11,12 +11,9 @@ from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.optimiser import damped, gradient_of, refit_initial_states
 from bristle.diagnosis.estimation.simulator import Free
 
-LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
 LARGEST_FALL = 10.0  # most that the error of one segment counts as lowered, or raised, by
 # times the upper quartile of the segments' squared errors: most that one segment counts for
 OUTLIER_QUARTILES = 10.0
-# of all changes of the segments' predictions: least that is left of the gains after the losses
-LEAST_NET_SHARE = 0.5
 # relative increase of each curvature, so that what one segment alone shows can be solved for
 FOLD_DAMPING = 1e-9
 # of what is anywhere in an interval of length 1 with the same probability

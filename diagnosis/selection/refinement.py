@@ -10,17 +10,17 @@ from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
     refit_with_noise,
 )
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters
 from bristle.diagnosis.localisation.views import is_form, periods_of
-from bristle.diagnosis.selection.candidates import Candidate
-from bristle.diagnosis.selection.criterion import Comparison
+from bristle.diagnosis.selection.candidates import EffectFit
+from bristle.diagnosis.selection.criterion import ReferenceModel
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effect as find_effect
 
 
-def with_candidate(context: SearchContext, candidate: Candidate) -> SearchContext:
+def with_candidate(context: SearchContext, candidate: EffectFit) -> SearchContext:
     """Return the context with an effect added to the model as it was fitted."""
     assert candidate.fit is not None
     servo = context.fitted.servo
@@ -33,7 +33,7 @@ def with_candidate(context: SearchContext, candidate: Candidate) -> SearchContex
     )
 
 
-def add_effect(context: SearchContext, candidate: Candidate, level: float) -> FittedModel:
+def add_effect(context: SearchContext, candidate: EffectFit, level: float) -> FittedModel:
     """Return the model with an effect added, refitted with its noise; `level` is the gain that
     chance reaches [nats].
     """
@@ -70,7 +70,7 @@ def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
     before = rescored(problem, fitted.fit)
     usual = _usual_shape(context, problem, before, fit, name)
     if (
-        Comparison.of(context.dataset, problem, usual).assess(fit, level).accepted
+        ReferenceModel.of(context.dataset, problem, usual).assess(fit, level).accepted
         and fit.penalised > usual.penalised
     ):
         return FittedModel(best.servo, problem, fit)
@@ -92,7 +92,7 @@ def _best_shape(context: SearchContext, name: str, level: float) -> FittedModel 
             **{f"{name}.{short}": value for short, value in start.items()},
         }
         first = evaluate(
-            fitted.problem, Point(fitted.fit.simulator, servo.free, values, fitted.fit.initial)
+            fitted.problem, FitPoint(fitted.fit.simulator, servo.free, values, fitted.fit.initial)
         )
         # the gain of a coupling's shape shows only after all of its parameters have moved
         if effect.coupling or first.total + predicted_gain(first) > fitted.fit.total + level:
@@ -124,7 +124,7 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
     return max(before, other, key=lambda each: each.total)
 
 
-def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate) -> bool:
+def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: EffectFit) -> bool:
     """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on
     the same variables.
     """
@@ -150,7 +150,7 @@ def backward_elimination(
     for name in added[:-1]:
         less = _without(fitted, base, name)
         if (
-            not Comparison.of(context.dataset, less.problem, less.fit)
+            not ReferenceModel.of(context.dataset, less.problem, less.fit)
             .assess(fitted.fit, level)
             .accepted
         ):
@@ -174,7 +174,7 @@ def _without(fitted: FittedModel, base: FittedModel, name: str) -> FittedModel:
     servo = replace(fitted.servo, effects=effects, free=(*own, *more), rigid=rigid)
     bristles = {f.name: base.fit.values[f.name] for f in own if rigid and OWN_BRISTLES in f.name}
     values = {**base.fit.values, **fitted.fit.values} | bristles
-    start = Point(
+    start = FitPoint(
         servo.simulator(fitted.fit.simulator.segments), servo.free, values, fitted.fit.initial
     )
     return FittedModel(servo, fitted.problem, refit(fitted.problem, start))

@@ -16,6 +16,7 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Progress
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
@@ -31,7 +32,7 @@ from bristle.diagnosis.estimation.inverse_dynamics import (
     Balanced,
     BalancedModel,
 )
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
@@ -44,7 +45,6 @@ from bristle.plant.effects import effect as find_effect
 
 T = TypeVar("T")
 S = TypeVar("S")
-Progress = Callable[[str, float], None]
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
 # of the mean torque of the input: stands for the dry friction of a model without any
 NO_FRICTION_SHARE = 0.1
@@ -263,7 +263,7 @@ def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]
     """Return the function that gives start values of an effect together with the nominal model."""
     fitted, dataset = context.fitted, context.dataset
     nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
-    point = Point(
+    point = FitPoint(
         fitted.fit.simulator, (), {**fitted.fit.values, **nominal}, fitted.problem.initial
     )
     fit = evaluate(fitted.problem, point)

@@ -6,31 +6,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from bristle.common.deadline import OutOfTime
+from bristle.diagnosis.answer import (
+    SENSOR_VIEWS,
+    STRENGTH_HALF_WIDTH,
+    Finding,
+    Reason,
+    finding,
+)
 from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
 from bristle.diagnosis.estimation.uncertainty import (
     ANY_STRENGTH,
-    STRENGTH_HALF_WIDTH,
     strength_is_known,
 )
-from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
+from bristle.diagnosis.localisation.residual_localisation import views_of
 from bristle.diagnosis.selection.candidates import (
     EXHAUSTIVE,
     HOPEFUL_LEVELS,
     OUT_OF_TIME,
     QUICK,
-    Candidate,
+    EffectFit,
     Effort,
     fit_candidates,
 )
 from bristle.diagnosis.selection.criterion import (
-    SearchRound,
+    TrialRound,
     accept_or_reject,
     group,
 )
@@ -52,7 +59,6 @@ STRUCTURE_P = 0.05  # p of a view of the residual up to which another round foll
 # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood
 # ratio)
 NATS_PER_PARAMETER = 3.3
-NOT_EXHAUSTIVE = "effects were tried from their best start values only"
 # times the null's level: least gain of an effect with parameters that are hardly credible
 CERTAIN_LEVELS = 10.0
 
@@ -67,74 +73,72 @@ class SearchOutcome:
     """
 
     final: FittedModel
-    rounds: tuple[SearchRound, ...]
+    rounds: tuple[TrialRound, ...]
     input_share: InputShare | None = None
     # what the time budget left out, beside the effects that the last round did not try
-    cut_short: str = ""
+    cut_short: Finding | None = None
 
 
 def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> SearchOutcome:
     """Add effects one after the other as long as one is found that is certain and large enough."""
-    fitted, rounds = base, list[SearchRound]()
+    fitted, rounds = base, list[TrialRound]()
     while True:
         context = SearchContext(dataset, fitted, options)
         try:
+            # records that show an input which was not held are prepared again before they are
+            # searched
             share = estimate_input_share(dataset, fitted) if options.test_input_hold else None
             if share is not None:
                 return SearchOutcome(fitted, tuple(rounds), share)
-            found = _find_effect(context, base, rounds)
+            latest = _next_round(context, base, rounds)
         except OutOfTime:
             return SearchOutcome(fitted, (*rounds, _unfinished(context, base, rounds)))
-        if found.outcome != "added":
-            return SearchOutcome(
-                fitted, (*rounds, found), cut_short=NOT_EXHAUSTIVE if found.cut_short else ""
-            )
-        fitted, removed = _added(context, base, found)
-        removal = f"; removed, as no longer needed: {', '.join(removed)}" if removed else ""
-        found = replace(found, decision=f"{found.decision}{removal}")
-        rounds.append(found)
-        if len(rounds) >= MOST_EFFECTS or dataset.poor_excitation:
+        if latest.said.outcome != "added":
+            cut = finding(Reason.BEST_STARTS_ONLY) if latest.said.cut_short else None
+            return SearchOutcome(fitted, (*rounds, latest), cut_short=cut)
+        # the effect joins the model, and what it makes superfluous goes
+        fitted, removed = _added(context, base, latest)
+        rounds.append(_decided(latest, removed=tuple(removed)))
+        if len(rounds) >= MOST_EFFECTS or dataset.uniform:
             return SearchOutcome(fitted, tuple(rounds))
         if options.late:
-            return SearchOutcome(
-                fitted, tuple(rounds), cut_short="no further effect was looked for"
-            )
-        if not residual_has_structure(
-            replace(context, fitted=fitted), found, _classes(base, rounds)
-        ):
-            rounds[-1] = replace(
-                found,
-                decision=(
-                    f"{found.decision}; neither a view nor an effect shows structure in the"
-                    " residual"
-                ),
-            )
+            cut = finding(Reason.NO_FURTHER_EFFECT)
+            return SearchOutcome(fitted, tuple(rounds), cut_short=cut)
+        after = replace(context, fitted=fitted)
+        if not residual_has_structure(after, rounds[-1], _classes(base, rounds)):
+            rounds[-1] = _decided(rounds[-1], structure=False)
             return SearchOutcome(fitted, tuple(rounds))
 
 
-def _classes(base: FittedModel, rounds: Sequence[SearchRound]) -> set[str]:
+def _decided(latest: TrialRound, **more: Any) -> TrialRound:
+    """Return a round whose decision has further facts."""
+    decision = latest.said.decision
+    assert isinstance(decision, Finding)
+    return latest.with_said(decision=replace(decision, facts={**decision.facts, **more}))
+
+
+def _classes(base: FittedModel, rounds: Sequence[TrialRound]) -> set[str]:
     """Return the classes of effects that the model has or had."""
     return {group(name) for name in (*base.servo.effects, *(r.best.name for r in rounds if r.best))}
 
 
-def _names(base: FittedModel, rounds: Sequence[SearchRound]) -> list[str]:
+def _names(base: FittedModel, rounds: Sequence[TrialRound]) -> list[str]:
     """Return the effects of other classes than those."""
     taken = _classes(base, rounds)
     return [name for name in all_effects() if group(name) not in taken]
 
 
 def _unfinished(
-    context: SearchContext, base: FittedModel, rounds: Sequence[SearchRound]
-) -> SearchRound:
+    context: SearchContext, base: FittedModel, rounds: Sequence[TrialRound]
+) -> TrialRound:
     """Return a round whose effects could not be compared in time."""
-    untried = tuple(Candidate(name, None, reason=OUT_OF_TIME) for name in _names(base, rounds))
-    return SearchRound(
-        untried, Null(np.zeros(1), {}), context.fit.total, decision="the time budget was used up"
-    )
+    untried = tuple(EffectFit(name, None, reason=OUT_OF_TIME) for name in _names(base, rounds))
+    untried_round = TrialRound.of(untried, Null(np.zeros(1), {}), context.fit.total)
+    return untried_round.with_said(decision=finding(Reason.OUT_OF_BUDGET))
 
 
 def _added(
-    context: SearchContext, base: FittedModel, found: SearchRound
+    context: SearchContext, base: FittedModel, found: TrialRound
 ) -> tuple[FittedModel, list[str]]:
     """Return the model with the best candidate and without what is no longer needed, and the names
     of that.
@@ -147,34 +151,28 @@ def _added(
         return with_candidate(context, found.best).fitted, []
 
 
-def _find_effect(
-    context: SearchContext, base: FittedModel, rounds: Sequence[SearchRound]
-) -> SearchRound:
+def _next_round(
+    context: SearchContext, base: FittedModel, rounds: Sequence[TrialRound]
+) -> TrialRound:
     """Return the next round; with all start values if a quick one finds nothing and the model still
     fits poorly.
     """
     names, further = _names(base, rounds), bool(rounds)
-    found = propose_effect(context, names, QUICK, further)
-    poor = (
-        found.outcome in ("none", "rejected")
-        and found.candidates
-        and needs_exhaustive_search(context.dataset, context.fitted)
-    )
-    if not poor:
-        return found
+    quick = propose_effect(context, names, QUICK, further)
+    in_vain = quick.said.outcome in ("none", "rejected") and quick.trials
+    if not (in_vain and needs_exhaustive_search(context.dataset, context.fitted)):
+        return quick
     try:
-        return (
-            replace(found, cut_short=True)
-            if context.options.late
-            else propose_effect(context, names, EXHAUSTIVE, further)
-        )
+        if not context.options.late:
+            return propose_effect(context, names, EXHAUSTIVE, further)
     except OutOfTime:
-        return replace(found, cut_short=True)
+        pass
+    return quick.with_said(cut_short=True)
 
 
 def propose_effect(
     context: SearchContext, names: Sequence[str], effort: Effort, further: bool = False
-) -> SearchRound:
+) -> TrialRound:
     """Return a round with its outcome: an effect to add (outcome "added"), or why there is none;
     `further`: beside others.
     """
@@ -182,70 +180,79 @@ def propose_effect(
     return found if found.best is None else decide(context, found, further)
 
 
-def decide(context: SearchContext, found: SearchRound, further: bool = False) -> SearchRound:
+def decide(context: SearchContext, found: TrialRound, further: bool = False) -> TrialRound:
     """Return a round with the decision on its best candidate; its strength must not be nothing, and
     of a `further` one be known.
     """
     if not found.assessment.accepted:
         found = retry_with_shape(context, found)
+    return (
+        _without_worth(context, found)
+        or _beside_rivals(found)
+        or _at_limits(found)
+        or _by_strength(context, found, further)
+    )
+
+
+def _without_worth(context: SearchContext, found: TrialRound) -> TrialRound | None:
+    """Return a round whose best candidate does not meet the criterion, or only seems to."""
     assert found.best is not None
-    name = found.best.name
-    if not found.assessment.accepted:
-        return found.rejected(f"'{name}' is significant, but {found.assessment.objection}")
+    name, objection = found.best.name, found.assessment.objection
+    if objection is not None:
+        return found.rejected(finding(Reason.UNMET, effect=name, objection=objection))
     if is_wave_harmonic(context.dataset, context.fitted, found.best):
-        return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
-    if found.unfinished:
-        return found.rejected(
-            f"'{name}' is the best, but others were not tried to the end", keep_ties=True
-        )
-    if any(group(other) != group(name) for other in found.ties):
-        return replace(
-            found, decision="several effects explain the residual equally well", outcome="tie"
-        )
-    if found.finer_gain is not None and numerical(found.gain, found.finer_gain, found.level):
-        why = (
-            f"'{name}' is a numerical artefact: its gain vanishes with finer steps of the"
-            " simulation"
-        )
-        return found.rejected(why, keep_ties=True)
+        return found.rejected(finding(Reason.HARMONIC, effect=name))
+    return None
+
+
+def _beside_rivals(found: TrialRound) -> TrialRound | None:
+    """Return a round whose best candidate is not known to be the best."""
+    assert found.best is not None
+    name, ties = found.best.name, found.said.ties
+    if found.said.unfinished:
+        return found.rejected(finding(Reason.OTHERS_UNFINISHED, effect=name), keep_ties=True)
+    if any(group(other) != group(name) for other in ties):
+        return found.with_said(decision=finding(Reason.TIE, effects=(name, *ties)), outcome="tie")
+    return None
+
+
+def _at_limits(found: TrialRound) -> TrialRound | None:
+    """Return a round whose best candidate gains by the steps of the simulation, or presses against
+    the end of what it can be.
+    """
+    assert found.best is not None
     assert found.best.fit is not None
-    pressed = {
-        key: gain
+    name, gain, finer = found.best.name, found.said.gain, found.said.finer_gain
+    if finer is not None and numerical(gain, finer, found.level):
+        artefact = finding(Reason.NUMERICAL, effect=name, gain=gain, finer_gain=finer)
+        return found.rejected(artefact, keep_ties=True)
+    ends = {
+        key: found.best.fit.values[key]
         for key, gain in pressed_bounds(found.best.fit, f"{name}.").items()
         if gain > NATS_PER_PARAMETER
     }
-    if pressed:
-        ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
-        why = (
-            f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for"
-            " something else"
-        )
-        return replace(found, decision=why, outcome="limit", ties=())
-    share = STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
-    if strength_is_known(found.best.fit, context.own_noise(found.best.fit), name, share=share):
-        return replace(found, decision=f"'{name}' added", outcome="added")
-    if further:
-        return found.rejected(
-            f"'{name}' is significant, but beside what was found its strength is not known"
-        )
-    return replace(found, decision=stands_in([name]), outcome="limit", ties=())
-
-
-def stands_in(names: Sequence[str]) -> str:
-    """Return why effects of which no strength is known are not named."""
-    effects, it = (
-        " and ".join(f"'{name}'" for name in names),
-        "it stands" if len(names) == 1 else "they stand",
-    )
     return (
-        f"{effects} would explain most, but with a strength that may be nothing: {it} in for"
-        " something else"
+        found.limited(finding(Reason.BOUND, effect=name, ends=tuple(ends.items())))
+        if ends
+        else None
     )
+
+
+def _by_strength(context: SearchContext, found: TrialRound, further: bool) -> TrialRound:
+    """Return a round whose best candidate is added if its strength is known well enough."""
+    assert found.best is not None
+    assert found.best.fit is not None
+    name, share = found.best.name, STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
+    if strength_is_known(found.best.fit, context.own_noise(found.best.fit), name, share=share):
+        return found.with_said(decision=finding(Reason.ADDED, effect=name), outcome="added")
+    if further:
+        return found.rejected(finding(Reason.UNKNOWN_STRENGTH, effect=name))
+    return found.limited(finding(Reason.STANDS_IN, effects=(name,)))
 
 
 def evaluate_candidates(
     context: SearchContext, names: Sequence[str], effort: Effort = QUICK
-) -> SearchRound:
+) -> TrialRound:
     """Try the named effects on top of a fitted model, and compare those above the null's level."""
     fit, servo = context.fit, context.fitted.servo
     tried, null = fit_candidates(context, names, effort)
@@ -253,19 +260,18 @@ def evaluate_candidates(
         c for c in tried if c.fit is not None and not servo.adds_no_bristles(c.name, c.fit.values)
     ]
     if not fitted:
-        return SearchRound(
-            tuple(tried), null, fit.total, decision="no effect can be added to this model"
-        )
+        nothing = TrialRound.of(tried, null, fit.total)
+        return nothing.with_said(decision=finding(Reason.NOTHING_TO_ADD))
     best = max(fitted, key=lambda c: c.penalised_likelihood)
     above = [c for c in fitted if c.gain_over(fit) > required_gain(c, servo.credible, null)]
-    if above and best.penalised_likelihood > Candidate("", fit).penalised_likelihood:
+    if above and best.penalised_likelihood > EffectFit("", fit).penalised_likelihood:
         return accept_or_reject(context, tried, above, null)
-    decision = "no gain above the level that chance reaches"
-    return SearchRound(tuple(tried), null, fit.total, gain=best.gain_over(fit), decision=decision)
+    by_chance = TrialRound.of(tried, null, fit.total, gain=best.gain_over(fit))
+    return by_chance.with_said(decision=finding(Reason.CHANCE))
 
 
 def required_gain(
-    candidate: Candidate, credible: Mapping[str, tuple[float, float]], null: Null
+    candidate: EffectFit, credible: Mapping[str, tuple[float, float]], null: Null
 ) -> float:
     """Return the gain that a candidate must exceed [nats]: a far larger one where its parameters
     are hardly credible.
@@ -273,7 +279,7 @@ def required_gain(
     return (1.0 if candidate.credible(credible) else CERTAIN_LEVELS) * null.level(candidate.name)
 
 
-def retry_with_shape(context: SearchContext, found: SearchRound) -> SearchRound:
+def retry_with_shape(context: SearchContext, found: TrialRound) -> TrialRound:
     """Return the round with the shape of its best candidate fitted too; the same round if that
     gains too little.
 
@@ -284,7 +290,7 @@ def retry_with_shape(context: SearchContext, found: SearchRound) -> SearchRound:
     end = refit_shape(extended, found.best.name, found.level)
     if end is extended.fitted:
         return found
-    tried = [replace(c, fit=end.fit) if c.name == found.best.name else c for c in found.candidates]
+    tried = [replace(c, fit=end.fit) if c.name == found.best.name else c for c in found.trials]
     return accept_or_reject(
         context, tried, [c for c in tried if c.assessment is not None], found.null
     )
@@ -297,12 +303,12 @@ def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:
     poor = has_outliers_or_disturbance(dataset, fitted.fit)
     return (
         poor
-        and not dataset.poor_excitation
+        and dataset.uniform is None
         and not any(find_effect(name).free_play for name in fitted.servo.effects)
     )
 
 
-def residual_has_structure(context: SearchContext, found: SearchRound, taken: set[str]) -> bool:
+def residual_has_structure(context: SearchContext, found: TrialRound, taken: set[str]) -> bool:
     """True if a view predicts the residual of a model, or a candidate of the last round outside
     `taken` classes gains by it.
     """
@@ -312,7 +318,7 @@ def residual_has_structure(context: SearchContext, found: SearchRound, taken: se
     ):
         return True
     response = context.response
-    for c in found.candidates:
+    for c in found.trials:
         for directions in c.directions if group(c.name) not in taken else ():
             score = np.einsum(
                 "s,snk,sn->k", response.weight, directions, response.rest, optimize=True

@@ -18,10 +18,10 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, records_from_arrays
+from bristle.diagnosis.answer import Diagnosis
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.report.result import Diagnosis
 from bristle.diagnosis.selection import stepwise
 from bristle.model.native import Native
 from bristle.model.program import Program

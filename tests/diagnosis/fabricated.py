@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import (
-    Candidate,
+from bristle.diagnosis.answer import (
+    CandidateEffect,
     Diagnosis,
     Estimate,
+    Excitation,
     Gap,
     Named,
+    RecordTrace,
+    ResidualView,
     Round,
-    Trace,
-    View,
+    Undetected,
+    Unexplained,
 )
+from bristle.diagnosis.modelfile import Model
 
 Array = NDArray[np.float64]
 
@@ -87,7 +89,7 @@ def trace(
     missing: Callable[[float, float], float],
     explained: bool = True,
     seconds: float = 12.0,
-) -> Trace:
+) -> RecordTrace:
     """Return a record with simulated segments; every third is held out."""
     rng = np.random.default_rng(seed)
     time = STEP * np.arange(round(seconds / STEP))
@@ -107,19 +109,19 @@ def trace(
             time[first],
         )
         held_out[part] = number % 3 == 2
-    return Trace(name, time, u, measured, before, after, held_out)
+    return RecordTrace(name, time, u, measured, before, after, held_out)
 
 
 def cogging(theta: float, time: float) -> float:
     return float(0.06 * np.sin(7 * theta + 0.4))
 
 
-def position_view(amplitude: float, share: float, after: float = 0.01) -> View:
+def position_view(amplitude: float, share: float, after: float = 0.01) -> ResidualView:
     centres = np.linspace(-2.0, 2.0, 41)
     rng = np.random.default_rng(3)
     curve = amplitude * np.sin(7 * centres + 0.4)
     noise = rng.normal(0, 0.05 * abs(amplitude) + 1e-3, (4, 41))
-    return View(
+    return ResidualView(
         "theta",
         share,
         0.001,
@@ -132,10 +134,10 @@ def position_view(amplitude: float, share: float, after: float = 0.01) -> View:
     )
 
 
-def velocity_view(share: float) -> View:
+def velocity_view(share: float) -> ResidualView:
     centres = np.linspace(-6.0, 6.0, 25)
     rng = np.random.default_rng(4)
-    return View(
+    return ResidualView(
         "v",
         share,
         0.02,
@@ -148,46 +150,51 @@ def velocity_view(share: float) -> View:
 
 
 CANDIDATES = (
-    Candidate("cogging", 412.0, 9.8),
-    Candidate("gravity", 96.0, 9.8),
-    Candidate("position_friction", 88.2, 9.8),
-    Candidate("hard_stop", 41.0, 9.8, "stiffness at its bound"),
-    Candidate("eccentric_encoder", 30.5, 9.8),
-    Candidate("stribeck", 12.1, 9.8),
-    Candidate("bias", 6.0, 9.8),
-    Candidate("asymmetric_coulomb", 5.7, 9.8),
-    Candidate("quadratic_drag", 3.1, 9.8),
-    Candidate("dead_zone", 2.2, 9.8),
-    Candidate("input_delay", 1.4, 9.8),
-    Candidate("friction_drift", float("nan"), 9.8, "did not converge"),
+    CandidateEffect("cogging", 412.0, 9.8),
+    CandidateEffect("gravity", 96.0, 9.8),
+    CandidateEffect("position_friction", 88.2, 9.8),
+    CandidateEffect("hard_stop", 41.0, 9.8, "stiffness at its bound"),
+    CandidateEffect("eccentric_encoder", 30.5, 9.8),
+    CandidateEffect("stribeck", 12.1, 9.8),
+    CandidateEffect("bias", 6.0, 9.8),
+    CandidateEffect("asymmetric_coulomb", 5.7, 9.8),
+    CandidateEffect("quadratic_drag", 3.1, 9.8),
+    CandidateEffect("dead_zone", 2.2, 9.8),
+    CandidateEffect("input_delay", 1.4, 9.8),
+    CandidateEffect("friction_drift", float("nan"), 9.8, "did not converge"),
 )
-UNDETECTED = {
-    "stribeck": "excess 0.18 at speed 0.3 rad/s",
-    "input_delay": "1.1 ms",
-    "gravity": "0.004 N.m",
-    "hard_stop": "cannot be seen: the records stay within ±2.0 rad",
-    "backlash": "0.002 rad",
-    "back_emf": "cannot be seen: with a torque input it equals viscous friction",
-}
-EXCITATION: dict[str, Any] = {
-    "records": 2,
-    "samples": 12000,
-    "duration": {"value": 24.0, "unit": "s"},
-    "sampling_period": {"value": STEP, "unit": "s"},
-    "input_range": {"lowest": -0.5, "highest": 0.5, "unit": "N.m"},
-    "input_bandwidth": {"value": 9.2, "unit": "Hz"},
-    "speed_range": {"lowest": -6.1, "highest": 5.9, "unit": "rad/s"},
-    "range_travelled": {"value": 4.0, "unit": "rad"},
-    "reversals": 58,
-    "rest_share": 0.04,
-    "forward_share": 0.47,
-    "backward_share": 0.49,
-    "turns_travelled": 0.63,
-    "caveats": [
+LIMITS = tuple(
+    Undetected(name, text)
+    for name, text in {
+        "stribeck": "excess 0.18 at speed 0.3 rad/s",
+        "input_delay": "1.1 ms",
+        "gravity": "0.004 N.m",
+        "hard_stop": "cannot be seen: the records stay within ±2.0 rad",
+        "backlash": "0.002 rad",
+        "back_emf": "cannot be seen: with a torque input it equals viscous friction",
+    }.items()
+)
+EXCITATION = Excitation(
+    {
+        "records": 2,
+        "samples": 12000,
+        "duration": {"value": 24.0, "unit": "s"},
+        "sampling_period": {"value": STEP, "unit": "s"},
+        "input_range": {"lowest": -0.5, "highest": 0.5, "unit": "N.m"},
+        "input_bandwidth": {"value": 9.2, "unit": "Hz"},
+        "speed_range": {"lowest": -6.1, "highest": 5.9, "unit": "rad/s"},
+        "range_travelled": {"value": 4.0, "unit": "rad"},
+        "reversals": 58,
+        "rest_share": 0.04,
+        "forward_share": 0.47,
+        "backward_share": 0.49,
+        "turns_travelled": 0.63,
+    },
+    caveats=(
         "Less than one turn: what repeats once in a turn is hardly seen.",
         "Little rest: bias and asymmetric friction look alike.",
-    ],
-}
+    ),
+)
 
 
 def named() -> Diagnosis:
@@ -195,7 +202,7 @@ def named() -> Diagnosis:
     second = tuple(replace(c, gain=c.gain / 60) for c in CANDIDATES[1:])
     return Diagnosis(
         verdict="named",
-        statement=(
+        leads=(
             (
                 "Cogging explains the difference: a torque of 0.060 N·m that repeats 7 times in a"
                 " turn."
@@ -221,12 +228,11 @@ def named() -> Diagnosis:
             ),
         ),
         ties=(),
-        experiment="A slow pass over several turns would fix the second harmonic.",
         where=(position_view(0.06, 0.61), velocity_view(0.05)),
         remains=Unexplained(False, None, 0.03),
         gap=Gap(8.2e-6, 1.1e-7, 9.4e-8, "rad"),
-        excitation=EXCITATION,
-        findings=(
+        excited=EXCITATION,
+        notes=(
             "run_2.csv: 3 samples were missing at 4.21 s; the segments around them are left out.",
         ),
         base={
@@ -234,7 +240,7 @@ def named() -> Diagnosis:
             "a2": estimate(0.031, "N.m.s/rad", 12),
             "coulomb.Fc": estimate(0.127, "N.m"),
         },
-        parameters={
+        fitted={
             "J": estimate(J, "kg.m2", 0.5),
             "a2": estimate(A2, "N.m.s/rad"),
             "coulomb.Fc": estimate(FC, "N.m", 0.7),
@@ -244,12 +250,13 @@ def named() -> Diagnosis:
                 CANDIDATES,
                 9.8,
                 0.001,
-                "cogging",
+                "added",
                 "cogging added: far above chance, no other within 15 %",
+                "cogging",
             ),
-            Round(second, 9.1, 0.7, None, "stopped: nothing above chance"),
+            Round(second, 9.1, 0.7, "none", "stopped: nothing above chance"),
         ),
-        undetected=UNDETECTED,
+        limits=LIMITS,
         traces=(trace("run_1.csv", 1, cogging), trace("run_2.csv", 2, cogging)),
         model=model(),
         seconds=38.0,
@@ -272,7 +279,7 @@ def tie() -> Diagnosis:
     return replace(
         named(),
         verdict="tie",
-        statement=(
+        leads=(
             (
                 "A constant torque or friction that differs between the directions: these records"
                 " show only their sum."
@@ -280,22 +287,20 @@ def tie() -> Diagnosis:
         ),
         effects=(),
         ties=(("bias", "asymmetric_coulomb"),),
-        experiment=(
-            "Add a rest phase of 2 s with a slowly rising input in both directions: a bias moves"
-            " the two thresholds alike, asymmetric friction moves them apart."
-        ),
-        where=(View("direction", 0.34, 0.001, 0.01, 0.5), velocity_view(0.22)),
+        where=(ResidualView("direction", 0.34, 0.001, 0.01, 0.5), velocity_view(0.22)),
         gap=Gap(1.9e-6, 1.9e-6, 1.0e-7, "rad"),
         rounds=(
             Round(
                 candidates,
                 9.5,
                 0.001,
-                None,
+                "tie",
                 "bias and asymmetric_coulomb tie: 1 % between their gains",
+                "bias",
+                ties=("asymmetric_coulomb",),
             ),
         ),
-        parameters={},
+        fitted={},
         choices={
             "bias": {"torque": estimate(0.02, "N.m", 2)},
             "asymmetric_coulomb": {"share": estimate(0.165, "1", 3)},
@@ -308,7 +313,7 @@ def tie() -> Diagnosis:
 def none() -> Diagnosis:
     """A tone in time that no effect of the catalogue explains."""
     candidates = tuple(replace(c, gain=min(c.gain, 30) * 0.2) for c in CANDIDATES)
-    view = View(
+    view = ResidualView(
         "t",
         0.41,
         0.001,
@@ -321,7 +326,7 @@ def none() -> Diagnosis:
     return replace(
         named(),
         verdict="none",
-        statement=(
+        leads=(
             "No effect of the 22 explains the difference.",
             "Something remains: it follows time, not the motion.",
         ),
@@ -329,10 +334,9 @@ def none() -> Diagnosis:
         where=(view,),
         remains=Unexplained(True, "t", 0.41),
         gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
-        experiment="Record again with the fan and the neighbouring axis switched off.",
-        rounds=(Round(candidates, 9.8, 0.31, None, "stopped: nothing above chance"),),
-        parameters={},
-        findings=(),
+        rounds=(Round(candidates, 9.8, 0.31, "none", "stopped: nothing above chance"),),
+        fitted={},
+        notes=(),
         traces=(
             trace("run_1.csv", 1, lambda theta, t: float(0.04 * np.sin(12 * t)), explained=False),
         ),
@@ -348,7 +352,7 @@ def not_identifiable() -> Diagnosis:
     return replace(
         named(),
         verdict="not_identifiable",
-        statement=(
+        leads=(
             (
                 "The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be"
                 " distinguished."
@@ -358,22 +362,23 @@ def not_identifiable() -> Diagnosis:
         where=(),
         remains=Unexplained(False, None, 0.02),
         gap=Gap(4.0e-11, 4.0e-11, None, "m"),
-        experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
             "J": estimate(6.0, "kg", at_bound=True),
             "a2": estimate(7.0, "N.s/m", 80),
             "coulomb.Fc": estimate(3.4, "N", 40),
         },
-        parameters={},
+        fitted={},
         rounds=(),
-        undetected={},
-        excitation={
-            "range_travelled": {"value": 0.003, "unit": "m"},
-            "reversals": 2,
-            "speed_range": {"lowest": 0.010, "highest": 0.011, "unit": "m/s"},
-            "caveats": ["Two reversals only."],
-        },
-        findings=(),
+        limits=(),
+        excited=Excitation(
+            {
+                "range_travelled": {"value": 0.003, "unit": "m"},
+                "reversals": 2,
+                "speed_range": {"lowest": 0.010, "highest": 0.011, "unit": "m/s"},
+            },
+            caveats=("Two reversals only.",),
+        ),
+        notes=(),
         traces=(scaled,),
         model=linear_model(),
         seconds=4.0,
@@ -386,8 +391,8 @@ def proposals() -> Diagnosis:
         none(),
         verdict="not_identifiable",
         remains=Unexplained(False, None, 0.0),
-        statement=("The input does not fit the motion, so nothing was searched.",),
-        proposals=(
+        leads=("The input does not fit the motion, so nothing was searched.",),
+        corrections=(
             (
                 "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its"
                 " sign, or that of theta."
@@ -399,9 +404,8 @@ def proposals() -> Diagnosis:
         ),
         where=(),
         rounds=(),
-        undetected={},
+        limits=(),
         base={},
-        experiment="",
         gap=Gap(4.1, 4.1, None, "rad"),
     )
 

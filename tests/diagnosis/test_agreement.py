@@ -5,7 +5,7 @@ something was, it is named.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,34 +13,24 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.agreement import agreement, with_agreement, without_floor
+from bristle.diagnosis.answer import HALVES, Gap, RecordAgreement
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.estimation.simulator import free_parameters
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
-from bristle.diagnosis.report.result import HALVES, Agreement, Gap
+from bristle.diagnosis.stages.agreement import agreement, agreement_of, with_agreement
 from bristle.records.record import Record
 
 H = 1e-3
 
 
-@dataclass(frozen=True)
-class Floored:
-    """What of a conclusion has a noise floor."""
-
-    gap: Gap
-
-
-def found_in(model: Model, records: list[Record]) -> Agreement:
+def found_in(model: Model, records: list[Record]) -> RecordAgreement:
     """Return what the records say of the model fitted to them without further effects."""
     dataset = dataset_of(model, records)
     base = fit_with_noise(dataset, *base_servo_of(model, dataset))
     whole = resume(base.problem.only(dataset.segments.counted), base.fit)
-    found = agreement(
-        SimpleNamespace(model=model, dataset=dataset),
-        SimpleNamespace(proposal="", final=base, fit=whole),
-    )
+    found = agreement_of(SimpleNamespace(model=model, dataset=dataset, final=base, fit=whole))
     assert found is not None
     return found
 
@@ -115,7 +105,7 @@ def test_an_input_that_leads_by_different_times_is_seen(
 def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) -> None:
     named = answer("named")
     values = {"Fc": {"warm": 0.1, "cold": 0.13, "dry": 0.12}}
-    apart = Agreement(85.0, 24.0, values, {"Fc": "N.m"}, "Fc")
+    apart = RecordAgreement(85.0, 24.0, values, {"Fc": "N.m"}, "Fc")
     said = with_agreement(named, apart)
     assert mark(named)[0] == "good"
     assert mark(said)[0] == "open"
@@ -141,7 +131,7 @@ def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) 
 def test_records_without_any_effect_that_do_not_agree_are_not_called_unexplained(
     answer: Callable[[str], Any],
 ) -> None:
-    apart = Agreement(85.0, 24.0, {"Fc": {"warm": 0.1, "cold": 0.13}}, {"Fc": "N.m"}, "Fc")
+    apart = RecordAgreement(85.0, 24.0, {"Fc": {"warm": 0.1, "cold": 0.13}}, {"Fc": "N.m"}, "Fc")
     assert (
         headline(with_agreement(answer("none"), apart)) == f"{NOT_ENOUGH}: the records do not agree"
     )
@@ -151,12 +141,14 @@ def test_records_without_any_effect_that_do_not_agree_are_not_called_unexplained
         == f"{NOT_ENOUGH}: halves of the record do not agree"
     )
     for agreed, floor in ((None, 0.2), (replace(apart, gain=2.0), 0.2), (apart, None)):
-        assert without_floor(Floored(Gap(1.0, 0.5, 0.2, "rad")), agreed).gap.noise_floor == floor
+        floored = replace(answer("none"), gap=Gap(1.0, 0.5, 0.2, "rad"))
+        assert with_agreement(floored, agreed).gap.noise_floor == floor
 
 
-def test_nothing_is_compared_before_bounds_are_widened() -> None:
-    assert agreement(SimpleNamespace(), SimpleNamespace(proposal="wider bounds")) is None
-    assert np.isfinite(Agreement(0.0, 1.0, {}, {}, "").level)
+def test_nothing_is_compared_before_bounds_are_widened(answer: Callable[[str], Any]) -> None:
+    waiting = replace(answer("none"), corrections=("wider bounds",))
+    assert agreement(SimpleNamespace(), waiting, SimpleNamespace()).agreement is None
+    assert np.isfinite(RecordAgreement(0.0, 1.0, {}, {}, "").level)
 
 
 def test_a_record_that_says_nothing_of_a_parameter_has_no_value_of_it(
@@ -183,10 +175,7 @@ def test_a_record_that_says_nothing_of_a_parameter_has_no_value_of_it(
         timed, servo, {**values, **{f"disturbance_step.{name}": x for name, x in start.items()}}
     )
     whole = resume(fitted.problem.only(timed.segments.counted), fitted.fit)
-    found = agreement(
-        SimpleNamespace(model=model, dataset=timed),
-        SimpleNamespace(proposal="", final=fitted, fit=whole),
-    )
+    found = agreement_of(SimpleNamespace(model=model, dataset=timed, final=fitted, fit=whole))
     assert found is not None
     assert found.values["disturbance_step.torque"]["without"] is None
     assert found.values["disturbance_step.torque"]["with"] == pytest.approx(0.05, rel=0.05)
@@ -196,6 +185,6 @@ def test_a_record_that_says_nothing_of_a_parameter_has_no_value_of_it(
 def test_refits_that_end_on_the_way_tell_nothing(
     model: Model, run: Callable[..., Record], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bristle.diagnosis.agreement.predicted_gain", lambda _fit: 1e3)
+    monkeypatch.setattr("bristle.diagnosis.stages.agreement.predicted_gain", lambda _fit: 1e3)
     with pytest.raises(AssertionError):
         found_in(model, [run("first", 1), run("second", 2)])

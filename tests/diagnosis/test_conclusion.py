@@ -9,29 +9,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.conclusion import choices_of, known_floor, unidentified_parameters, unnamed
-from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.report.result import Estimate, Gap
-from bristle.diagnosis.report.text import undetected
-from bristle.diagnosis.selection.candidates import Assessment, Candidate
-from bristle.diagnosis.selection.criterion import Outcome, SearchRound
+from bristle.diagnosis.answer import Assessment, Estimate, Gap, Outcome, Unexplained
+from bristle.diagnosis.report.text.statement import undetected
+from bristle.diagnosis.selection.candidates import EffectFit
+from bristle.diagnosis.selection.criterion import TrialRound
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
+from bristle.diagnosis.stages.conclusion import (
+    choices_of,
+    known_floor,
+    reported_limits,
+    unidentified_parameters,
+    unnamed,
+)
 
 UNIFORM = "one oscillation"
 QUIET, LEFT = Unexplained(False, None, 0.0), Unexplained(True, "theta", 0.5)
 
 
 def round_of(
-    best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False
-) -> SearchRound:
-    candidate = Candidate(best, None) if best else None
-    outcome: Outcome = "withdrawn" if withdrawn else "none"
-    return SearchRound((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, ties, outcome=outcome)
+    best: str | None = None, ties: tuple[str, ...] = (), outcome: Outcome = "none"
+) -> TrialRound:
+    candidate = EffectFit(best, None) if best else None
+    empty = TrialRound.of((), Null(np.zeros(1), {}), 0.0, candidate, 20.0)
+    return empty.with_said(ties=ties, outcome=outcome)
 
 
 @pytest.mark.parametrize(
-    ("last", "narrow", "left", "verdict"),
+    ("last", "uniform", "left", "verdict"),
     [
         (round_of(), "", QUIET, "none"),
         (round_of(), "", LEFT, "none"),
@@ -46,17 +51,17 @@ def round_of(
         (round_of("bias", ("gravity", "cogging", "stribeck")), "", LEFT, "not_identifiable"),
         # of two classes
         (round_of("bias", ("asymmetric_coulomb", "gravity")), UNIFORM, LEFT, "tie"),
-        (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
+        (round_of("bias", outcome="withdrawn"), UNIFORM, LEFT, "not_identifiable"),
         # it stands in for something else
-        (replace(round_of("bias"), outcome="limit"), "", QUIET, "not_identifiable"),
+        (round_of("bias", outcome="limit"), "", QUIET, "not_identifiable"),
         (round_of(), "", replace(LEFT, disturbance=0.49), "none"),
         (round_of(), "", replace(LEFT, disturbance=0.51), "not_identifiable"),
     ],
 )
 def test_verdict_without_a_name(
-    last: SearchRound, narrow: str, left: Unexplained, verdict: str
+    last: TrialRound, uniform: str, left: Unexplained, verdict: str
 ) -> None:
-    assert unnamed(last, narrow, left) == verdict
+    assert unnamed(last.said, bool(uniform), left) == verdict
 
 
 @pytest.mark.parametrize(
@@ -90,13 +95,13 @@ def test_an_estimate_at_a_bound_is_unidentified() -> None:
 
 
 def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() -> None:
-    tried = tuple(Candidate(name, None) for name in ("bias", "asymmetric_coulomb", "gravity"))
-    first = replace(round_of("bias", ("asymmetric_coulomb",)), candidates=tried, outcome="added")
-    second = replace(round_of("gravity"), candidates=tried, outcome="added")
-    last = replace(round_of(), candidates=tried)
+    tried = tuple(EffectFit(name, None) for name in ("bias", "asymmetric_coulomb", "gravity"))
+    first = replace(round_of("bias", ("asymmetric_coulomb",), "added"), trials=tried)
+    second = replace(round_of("gravity", outcome="added"), trials=tried)
+    last = replace(round_of(), trials=tried)
 
     def names(
-        rounds: list[SearchRound], undecided: tuple[str, ...], named: tuple[str, ...]
+        rounds: list[TrialRound], undecided: tuple[str, ...], named: tuple[str, ...]
     ) -> list[str]:
         return [c.name for c in choices_of(rounds, undecided, named)]
 
@@ -111,11 +116,11 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
 def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     """And what gained before another was added shows no more beside that."""
     fitted = case(None).base
-    tried = [Candidate(name, fitted.fit) for name in ("bias", "gravity", "cogging")]
+    tried = [EffectFit(name, fitted.fit) for name in ("bias", "gravity", "cogging")]
     null, model = Null(np.zeros(1), {}), case(None).model
     base = fitted.fit.total - 50
     found = detection_limits(tried, null, base)
-    lines = undetected(found, model, ("bias",))
+    lines = undetected(reported_limits(found, ("bias",)), model)
     assert list(lines) == ["gravity", "cogging"]
     assert (
         "it gains 50 nats, more than chance, but gains far less than another effect"
@@ -136,17 +141,14 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     ):
         [compared] = detection_limits([replace(tried[1], assessment=worth)], null, base)
         assert undetected([compared], model)["gravity"].endswith(why)
-    assert undetected(found, model, ("bias", "gravity"), "bias") == {
+    assert undetected(reported_limits(found, ("bias", "gravity"), "bias"), model) == {
         "cogging": (
             "before constant torque (bias) was added it gained 50 nats; beside that nothing"
             " shows it"
         )
     }
-    drifting = undetected(
-        detection_limits([*tried, Candidate("stribeck", fitted.fit)], null, base),
-        model,
-        drifting=True,
-    )
+    more = detection_limits([*tried, EffectFit("stribeck", fitted.fit)], null, base)
+    drifting = undetected(reported_limits(more, unaligned=True), model)
     assert [
         "start at the same position" in drifting[name]
         for name in ("gravity", "cogging", "bias", "stribeck")

@@ -18,9 +18,9 @@ import pytest
 
 from bristle.cli import main as cli
 from bristle.diagnosis import Model, diagnose, load_model, records_from_arrays
-from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.answer import OUTLIERS, Diagnosis
 from bristle.diagnosis.modelfile import model_text
-from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.report.text.said import said as words_of
 from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
@@ -101,7 +101,7 @@ def test_it_reports_the_view_of_the_gap(cogging):
     # which are off depends on where it went
     strongest = next(view for view in cogging.where if view.view != OUTLIERS)
     assert strongest.view == "theta"
-    assert strongest.label == "7 in a turn"
+    assert words_of(strongest.label) == "7 in a turn"
     assert strongest.p <= 0.01
     assert strongest.share > 0.3
     assert strongest.share_after < 0.1

@@ -9,12 +9,24 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.preparation import excluded_effects
+from bristle.diagnosis.checks.excitation import excitation as excited
+from bristle.diagnosis.checks.preparation import excluded_effects as reasons_to_exclude
+from bristle.diagnosis.report.content import excitation_content
+from bristle.diagnosis.report.text.said import said
 from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, REVERSALS
 from bristle.plant.effects import effects
 
 H = 1e-3
+
+
+def excitation(model, records):
+    """Return what records excite as diagnosis.json holds it."""
+    return excitation_content(excited(model, records))
+
+
+def excluded_effects(model, lacks=()):
+    """Return why effects are no candidates, in words."""
+    return {name: said(why) for name, why in reasons_to_exclude(model, lacks).items()}
 
 
 def described(model, t, u, y):
@@ -186,18 +198,18 @@ def test_little_was_recorded(model):
     )
 
 
-def test_a_small_range_is_narrow_only_where_nothing_accelerates(model):
+def test_a_small_range_is_too_uniform_only_where_nothing_accelerates(model):
     """The same quarter of a radian: slowly there is friction alone, quickly the inertia takes its
     share too.
     """
     t = np.arange(20000) * H
-    for pace, narrow in ((0.2, True), (3.0, False)):
+    for pace, uniform in ((0.2, True), (3.0, False)):
         y = 0.15 * np.sin(2 * np.pi * pace * t) + 0.1 * np.sin(2 * np.pi * 0.61 * pace * t + 1)
         v = np.gradient(y, H)
         u = model.parameters["J"] * np.gradient(v, H) + 0.1 * np.sign(v)
         found = described(model, t, u, y)
-        assert (found["inertia_share"] < 0.3) is narrow
-        assert found["narrow"].startswith("the servo moves less than a quarter turn") is narrow
+        assert (found["inertia_share"] < 0.3) is uniform
+        assert found["narrow"].startswith("the servo moves less than a quarter turn") is uniform
 
 
 def test_records_beside_each_other_have_caveats(tree, model):

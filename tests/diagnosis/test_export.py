@@ -19,8 +19,9 @@ from fmpy.validation import validate_fmu
 from bristle.common import output
 from bristle.common.errors import BristleError, IncompleteError
 from bristle.diagnosis import fmu_model, load_model
+from bristle.diagnosis.answer import Estimate, Gap, Named
 from bristle.diagnosis.report import export
-from bristle.diagnosis.report.result import EXPERIMENT_FILE, Estimate, Gap, Named
+from bristle.diagnosis.report.text.designed import EXPERIMENT_FILE
 from bristle.fmus.build import program_of
 from bristle.model.native import Native
 
@@ -152,7 +153,7 @@ def test_a_choice_that_cannot_be_is_said_and_the_rest_is_written(
 
 def test_a_model_that_cannot_be_built_costs_no_report(answer, tmp_path):
     named = answer("named")
-    wild = replace(named, parameters={**named.parameters, "J": Estimate(-1.0, "kg.m2", None)})
+    wild = replace(named, fitted={**named.parameters, "J": Estimate(-1.0, "kg.m2", None)})
     with pytest.raises(BristleError, match="J = -1"):
         export.write(wild, tmp_path)
     assert {"diagnosis.json", "report.html"} <= set(names(tmp_path))
@@ -174,7 +175,7 @@ def test_where_nothing_is_missing_the_model_is_the_refitted_one(answer):
 def test_an_effect_the_model_had_is_refitted_and_bounds_give_way(answer, fabricated):
     had = fabricated.model(effects={"bias": {"torque": 0.01}}, bounds={"J": [0.0105, 0.03]})
     found = {**answer("named").parameters, "bias.torque": Estimate(0.013, "N.m", None)}
-    augmented = export.augment(replace(answer("named"), model=had, parameters=found))
+    augmented = export.augment(replace(answer("named"), model=had, fitted=found))
     assert augmented.effects == ("bias", "cogging")
     assert augmented.added == ("cogging",)
     assert augmented.parameters["bias.torque"] == 0.013
@@ -200,7 +201,7 @@ def test_an_fmu_declares_the_units_of_its_rig(answer, fabricated, tmp_path, fmi)
         model=fabricated.linear_model(),
         gap=Gap(1e-9, 1e-9, None, "m"),
         base={},
-        parameters={},
+        fitted={},
     )
     export.write(slow, tmp_path, fmi=fmi)
     found = starts(tmp_path / "augmented.fmu")
@@ -354,7 +355,7 @@ def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(
         answer("named"),
         model=volts,
         effects=(bump,),
-        parameters={name: Estimate(x, "1", None) for name, x in fitted.items()},
+        fitted={name: Estimate(x, "1", None) for name, x in fitted.items()},
     )
     export.write(diagnosis, tmp_path / "found")
     (tmp_path / "case.toml").write_text(SCENARIO)

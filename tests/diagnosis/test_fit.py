@@ -14,7 +14,7 @@ from bristle.diagnosis.estimation.fitted_model import relative_error, under_own_
 from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import (
     Elimination,
-    Point,
+    FitPoint,
     evaluate,
     initial_state_price,
     rescored,
@@ -170,12 +170,12 @@ def test_bounds_hold_and_the_others_go_on(case):
     assert low.name == "J"
     start = {**best.values, "J": 0.0075, "a2": 0.05}
     found = refit(
-        plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.initial), 40
+        plain.base.problem, FitPoint(best.simulator, (low, *best.free[1:]), start, best.initial), 40
     )
     assert found.values["J"] == 0.008
     held = refit(
         plain.base.problem,
-        Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.initial),
+        FitPoint(best.simulator, best.free[1:], {**start, "J": 0.008}, best.initial),
         40,
     )
     assert found.total == pytest.approx(held.total, abs=0.2)
@@ -211,7 +211,7 @@ def test_what_is_known_beforehand_pulls(case):
     tight = replace(best.free[0], nominal=0.012, prior_sd=1e-6)
     found = refit(
         plain.base.problem,
-        Point(best.simulator, (tight, *best.free[1:]), best.values, best.initial),
+        FitPoint(best.simulator, (tight, *best.free[1:]), best.values, best.initial),
     )
     assert found.values["J"] == pytest.approx(0.012, abs=1e-5)
     assert found.prior < -0.5 or found.total < best.total
@@ -262,7 +262,7 @@ def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     assert again.score_at_initial[held].sum() == pytest.approx(
         best.score_at_initial[held].sum(), abs=1.0
     )
-    still = evaluate(problem, Point(best.simulator, (), best.values, off))
+    still = evaluate(problem, FitPoint(best.simulator, (), best.values, off))
     assert still.score_at_initial[held].sum() < best.score_at_initial[held].sum() - 100
 
 
@@ -274,7 +274,9 @@ def test_what_switches_is_found_from_a_value_that_is_off(case):
     free = (*hidden.base.fit.free, *free_parameters("dead_zone", {"width": 0.06}, {}))
     simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
     values = {**hidden.base.fit.values, "dead_zone.width": 0.04}
-    first = evaluate(hidden.base.problem, Point(simulator, free, values, hidden.base.fit.initial))
+    first = evaluate(
+        hidden.base.problem, FitPoint(simulator, free, values, hidden.base.fit.initial)
+    )
     problem = hidden.base.problem
     tried = refit_nonsmooth(first, lambda fit: problem, ("dead_zone",))
     assert tried.total > resume(problem, first).total - 1.0
@@ -301,7 +303,7 @@ def free_play(case):
     }
     values = {**backlash.base.fit.values, **off}
     return backlash, evaluate(
-        backlash.base.problem, Point(simulator, free, values, backlash.base.fit.initial)
+        backlash.base.problem, FitPoint(simulator, free, values, backlash.base.fit.initial)
     )
 
 
@@ -454,7 +456,7 @@ def test_a_bound_that_the_records_push_against_is_pressed(case, low, high, press
         "cogging.amplitude": min(max(found.values["cogging.amplitude"], low), high)
     }
     problem = case("cogging").base.problem
-    fit = refit(problem, Point(found.simulator, free, values, found.initial))
+    fit = refit(problem, FitPoint(found.simulator, free, values, found.initial))
     gains = pressed_bounds(fit, "cogging.")
     assert bool({key for key, gain in gains.items() if gain > NATS_PER_PARAMETER}) is pressed
     assert pressed_bounds(fit, "gravity.") == {}

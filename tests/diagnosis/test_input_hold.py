@@ -15,8 +15,9 @@ from bristle.diagnosis.checks.input_hold import (
     estimate_input_share,
     with_input_share,
 )
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, notes_of
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
+from bristle.diagnosis.report.text.said import said
 
 EVERY = 8  # sample of a drive that works at 1 kHz is logged
 
@@ -50,7 +51,7 @@ def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
     # the mean place of what the drive held
     assert found.share == pytest.approx((EVERY - 1) / (2 * EVERY), abs=0.05)
     again = with_input_share(records, found)
-    assert "between samples" in again[0].findings[-1]
+    assert "between samples" in said(notes_of(again, found)[-1])
     np.testing.assert_allclose(
         again[1].u[:-1], records[1].u[:-1] + found.share * np.diff(records[1].u)
     )

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, limits
 from bristle.diagnosis.estimation.fitted_model import balanced_model, fit_with_noise
-from bristle.diagnosis.preparation import base_servo_of, dataset_of, limits
 from bristle.diagnosis.selection.discretisation import numerical, steady
 from bristle.diagnosis.selection.start_values import SearchContext, balance_starts
 

@@ -6,6 +6,7 @@ import importlib.util
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ import pytest
 from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.estimation.uncertainty import estimates, refitted_estimates
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.whole.open_loop import (
+from bristle.diagnosis.report.text.said import said
+from bristle.diagnosis.validation.long_simulation import (
     Records,
     general_horizon,
     open_loop,
@@ -66,7 +68,10 @@ def worn_axis():
 def judged(model, entries, sign=1.0):
     records = taken(model, entries, sign)
     assert len({r.h for r in records}) == 1
-    return records, check(model, records)
+    found = check(model, records)
+    words = {"proposals": found.corrections, "findings": found.notes}
+    texts = {key: tuple(map(said, value)) for key, value in words.items()}
+    return records, SimpleNamespace(**texts, fit=found.fit)
 
 
 def test_xl330(data):

@@ -12,12 +12,12 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, records_from_arrays
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation import fitted_model as fitting
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.likelihood import Fit, Point
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -65,7 +65,7 @@ def asymmetric() -> tuple[Dataset, Fit]:
     free = (*base.servo.free, *free_parameters("asymmetric_coulomb", {"share": 0.0}, {}))
     simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
     begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
-    return own, refit(base.problem, Point(simulator, free, begin, base.fit.initial))
+    return own, refit(base.problem, FitPoint(simulator, free, begin, base.fit.initial))
 
 
 def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[Dataset, Fit]) -> None:

@@ -5,12 +5,14 @@ mistakes.
 import math
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.report.text.said import said as words_of
 from bristle.plant.effects import effects
 
 SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))[
@@ -34,10 +36,14 @@ def declared(tree, kind="position", off=(1.0, 1.0, 1.0), **changed):
 
 
 def said(model, data, change=lambda t, u, y: (t, u, y)):
-    return check(
+    """Return proposals and findings in words."""
+    found = check(
         model,
         records_from_arrays(model, [(f"run{i}", *change(*each)) for i, each in enumerate(data)]),
     )
+    lines = {"proposals": found.corrections, "findings": found.notes}
+    words = {key: tuple(map(words_of, value)) for key, value in lines.items()}
+    return SimpleNamespace(**words, fit=found.fit)
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,9 @@ from loggers import STYLES, mistakes, servo_records, write_pair
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, load_model, load_records
-from bristle.diagnosis.proposal import propose
-from bristle.diagnosis.proposal_text import model_text, summary, write_model
+from bristle.diagnosis.init.proposal import propose
+from bristle.diagnosis.report.proposed_model import model_text, summary, write_model
+from bristle.diagnosis.report.text.said import said
 
 SECONDS = 7.0  # of each record: the regression needs no more
 RNG = np.random.default_rng(1)
@@ -98,7 +99,7 @@ def test_what_cannot_be_told_is_said_and_kept_as_a_comment(tmp_path):
     assert found.input.column.column == "torque B [Nm]"
     assert any(
         line.startswith("2 columns may be the input: 'torque B [Nm]' is taken")
-        for line in found.doubts
+        for line in [said(each) for each in found.doubts]
     )
     text = model_text(found, "bristle diagnose")
     assert '# column = "torque A [Nm]"' in text
@@ -144,7 +145,9 @@ def test_an_input_against_the_motion_is_turned(tmp_path):
     found = propose(plain(tmp_path, change=lambda t, u, y: (t, -u, y)))
     assert found.input.column.scale == "-1"
     assert found.rough["J"].value == pytest.approx(0.01, rel=0.1)
-    assert "a positive 'u' moves the output backwards; its sign is turned by scale" in found.doubts
+    assert "a positive 'u' moves the output backwards; its sign is turned by scale" in [
+        said(each) for each in found.doubts
+    ]
     assert propose(plain(tmp_path)).input.column.scale is None
 
 
@@ -153,7 +156,10 @@ def test_a_speed_without_its_sign_is_a_doubt(tmp_path):
         return t, u, np.abs(np.gradient(y, t))
 
     found = propose(plain(tmp_path, "t [s],u [V],speed [rad/s]", unsigned))
-    assert any("was the speed measured without its sign?" in line for line in found.doubts)
+    assert any(
+        "was the speed measured without its sign?" in line
+        for line in [said(each) for each in found.doubts]
+    )
 
 
 @pytest.mark.parametrize(("lead", "output"), [(0.003, "a"), (0.06, "angle")])
@@ -192,7 +198,9 @@ def test_the_unit_of_the_time(header, scale, unit, tmp_path):
     )
     assert found.time.column.unit == unit
     assert found.records[0].h == pytest.approx(1e-3, rel=1e-5)
-    assert any("no column is called a time" in line for line in found.doubts) == (header[0] == "a")
+    assert any(
+        "no column is called a time" in line for line in [said(each) for each in found.doubts]
+    ) == (header[0] == "a")
 
 
 def test_units_that_the_user_gives(tmp_path):
@@ -207,7 +215,9 @@ def test_units_that_the_user_gives(tmp_path):
     assert load_text["input"]["kind"] == "force"
     turned = propose(plain(tmp_path), units={"theta": "mm", "u": "Nm"})
     assert (turned.input.kind, turned.input.column.scale) == ("force", "1 1/m")
-    assert any("a lever of 1 m is assumed" in line for line in turned.doubts)
+    assert any(
+        "a lever of 1 m is assumed" in line for line in [said(each) for each in turned.doubts]
+    )
 
 
 def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
@@ -217,7 +227,9 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
     found = propose(plain(tmp_path, "t,torque,angle", steady))
     assert found.rough["J"].error is None
     assert found.rough["J"].high > 100 * found.rough["J"].low
-    assert "the records hardly show the inertia; J is a guess" in found.doubts
+    assert "the records hardly show the inertia; J is a guess" in [
+        said(each) for each in found.doubts
+    ]
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bristle.diagnosis.proposal import propose
-from bristle.diagnosis.proposal_text import write_model
+from bristle.diagnosis.init.proposal import propose
+from bristle.diagnosis.report.proposed_model import write_model
+from bristle.diagnosis.report.text.said import said
 
 DATA = Path(os.environ.get("BRISTLE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 FORCE_PER_VOLT = 35.1507  # N/V, of the drive of EMPS
@@ -37,7 +38,10 @@ def test_emps(data, tmp_path):
     assert (found.input.kind, found.output.kind) == ("voltage", "position")
     for name, value in PUBLISHED.items():
         assert found.rough[name].value * FORCE_PER_VOLT == pytest.approx(value, rel=0.1)
-    assert any("2 columns may be the output: 'qm' is taken" in line for line in found.doubts)
+    assert any(
+        "2 columns may be the output: 'qm' is taken" in line
+        for line in [said(each) for each in found.doubts]
+    )
     write_model(found, tmp_path / "model.toml")
 
 
@@ -49,8 +53,13 @@ def test_a_speed_without_its_sign(data):
     found = propose(sorted((data / "ced").glob("record[12].csv")))
     assert chosen(found) == ["t", "u", "speed"]
     assert found.input.column.scale is None
-    assert any("was the speed measured without its sign?" in line for line in found.doubts)
-    assert any("explain only 1% of the input" in line for line in found.doubts)
+    assert any(
+        "was the speed measured without its sign?" in line
+        for line in [said(each) for each in found.doubts]
+    )
+    assert any(
+        "explain only 1% of the input" in line for line in [said(each) for each in found.doubts]
+    )
 
 
 def test_one_direction_of_motion(data):
@@ -60,7 +69,7 @@ def test_one_direction_of_motion(data):
     found = propose(sorted((data / "laas_cogging").glob("*.csv")))
     assert chosen(found) == ["t", "u", "y"]
     assert found.input.column.scale is None
-    assert "nearly always in one direction" in " ".join(found.excitation["caveats"])
+    assert "nearly always in one direction" in " ".join(map(said, found.excited.caveats))
 
 
 @pytest.mark.parametrize(
@@ -87,4 +96,6 @@ def test_pendulums(folder, columns, data, tmp_path):
 def test_arrays_without_names(data):
     found = propose(sorted((data / "odrive_cogging" / "slow2").glob("nocomp_[01].npy")))
     assert chosen(found) == ["array[:, 0]", "array[:, 2]", "array[:, 1]"]
-    assert "no column is called a time; 'array[:, 0]' rises evenly" in found.doubts
+    assert "no column is called a time; 'array[:, 0]' rises evenly" in [
+        said(each) for each in found.doubts
+    ]

@@ -15,32 +15,32 @@ import numpy as np
 import pytest
 
 from bristle.common.drawing import OTHER
-from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
-from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.report.figures import captions, draw, view_axis, worst_part
-from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
-from bristle.diagnosis.report.html import interval, render
-from bristle.diagnosis.report.result import (
+from bristle.diagnosis.answer import (
+    OUTLIERS,
+    Diagnosis,
     Estimate,
+    Excitation,
     Gap,
     HorizonError,
     Named,
     RecordError,
-    Trace,
+    RecordTrace,
+    Undetected,
+    Unexplained,
     WholeRecords,
 )
-from bristle.diagnosis.report.text import (
-    NATS,
-    Facts,
-    experiment,
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report.figures.of_diagnosis import captions, draw, view_axis, worst_part
+from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
+from bristle.diagnosis.report.html import interval, render
+from bristle.diagnosis.report.text.names import NATS, reported_parameters, value, view_name
+from bristle.diagnosis.report.text.statement import (
+    answer_lines,
     open_loop_line,
-    reported_parameters,
-    statement,
     undetected,
-    value,
-    view_name,
+    what_to_measure,
 )
-from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect
@@ -49,6 +49,29 @@ from bristle.plant.wording import Wording
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 MOST_BYTES = 1_000_000  # of a page
 VOID = {"meta", "img", "br"}
+
+
+TABLE = {
+    "friction": "coulomb",
+    "parameters": {"J": 0.011, "a2": 0.015, "Fc": 0.1},
+    "time": {"column": "t", "unit": "s"},
+    "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+    "output": {"column": "theta", "kind": "position", "unit": "rad"},
+}
+
+
+def bare(verdict, gap, remains, effects=(), ties=(), parameters=None):
+    """Return an answer with this and nothing else."""
+    return Diagnosis(
+        verdict,
+        gap,
+        Excitation({}),
+        Model.from_dict(TABLE),
+        tuple(effects),
+        tuple(ties),
+        remains=remains,
+        fitted=parameters or {},
+    )
 
 
 class Balance(HTMLParser):
@@ -136,16 +159,16 @@ def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     text = text_of(page_of(worse))
     assert "the error did not fall" in text
     assert "shrank" not in text.split("Before and after")[0].split("Error of the model")[1]
-    said = statement(Facts("named", worse.gap, worse.remains, named.effects))
+    said = answer_lines(bare("named", worse.gap, worse.remains, named.effects))
     assert any("does not fall (0.00105 rad before, 0.00114 rad after)" in line for line in said)
-    said = statement(Facts("named", named.gap, named.remains, named.effects))
+    said = answer_lines(bare("named", named.gap, named.remains, named.effects))
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
 
 def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     none = answer("none")
     unknown = replace(none, gap=replace(none.gap, noise_floor=None))
-    [line] = statement(Facts("none", unknown.gap, unknown.remains))[1:2]
+    [line] = answer_lines(bare("none", unknown.gap, unknown.remains))[1:2]
     assert line.endswith(
         "disturbance and sensor noise alone account for less; how much less is not known."
     )
@@ -218,11 +241,11 @@ def test_what_is_predicted_is_not_taken_for_noise(answer):
     assert "down to what disturbance and sensor noise alone account for" not in text
     assert any(
         "account for at most as much" in line
-        for line in statement(Facts("named", gap, left, named.effects))
+        for line in answer_lines(bare("named", gap, left, named.effects))
     )
     assert any(
         "account for as much" in line
-        for line in statement(Facts("named", gap, replace(left, share=0.1), named.effects))
+        for line in answer_lines(bare("named", gap, replace(left, share=0.1), named.effects))
     )
 
 
@@ -258,8 +281,8 @@ def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
         "The strength of cogging torque (cogging) is not known to within 50 %: it may stand in for"
         " something else."
     )
-    assert line in statement(Facts("named", named.gap, named.remains, (unknown,)))
-    assert line not in statement(Facts("named", named.gap, named.remains, (effect,)))
+    assert line in answer_lines(bare("named", named.gap, named.remains, (unknown,)))
+    assert line not in answer_lines(bare("named", named.gap, named.remains, (effect,)))
     place = replace(
         effect,
         parameters={**effect.parameters, "phase": replace(wide, value=0.1, ci95=(-0.5, 0.7))},
@@ -275,7 +298,7 @@ def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
         "The play of free play in the coupling (backlash) is not known to within 50 %: it may stand"
         " in for something else."
     )
-    assert line in statement(Facts("named", named.gap, named.remains, (loose,)))
+    assert line in answer_lines(bare("named", named.gap, named.remains, (loose,)))
 
 
 @pytest.mark.parametrize(
@@ -290,7 +313,7 @@ def test_a_parameter_that_ends_at_0_is_absent_and_no_bound_to_widen(answer, end,
     stuck = {"a2": Estimate(end, "1", None, True)}
     [line] = [
         line
-        for line in statement(Facts("named", named.gap, named.remains, (), parameters=stuck))
+        for line in answer_lines(bare("named", named.gap, named.remains, (), parameters=stuck))
         if "a2" in line
     ]
     assert line.startswith(said)
@@ -302,11 +325,11 @@ def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(a
         "Unexplained residual: 54 % of the residual can be predicted from position, with none of"
         " the tied effects added."
     )
-    assert without in statement(Facts("tie", tie.gap, left, ties=tie.ties))
-    assert without in statement(Facts("not_identifiable", tie.gap, left, ties=tie.ties))
+    assert without in answer_lines(bare("tie", tie.gap, left, ties=tie.ties))
+    assert without in answer_lines(bare("not_identifiable", tie.gap, left, ties=tie.ties))
     assert "with none of the tied effects added" in text_of(page_of(replace(tie, remains=left)))
     named = answer("named")
-    after = statement(Facts("named", named.gap, left, named.effects, tie.ties))
+    after = answer_lines(bare("named", named.gap, left, named.effects, tie.ties))
     assert any(
         line.endswith("from position, and no effect that was tried explains it.") for line in after
     )
@@ -314,15 +337,17 @@ def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(a
 
 def test_a_tone_is_reported_with_its_frequency_and_an_experiment(answer):
     tone = Unexplained(True, "tone", 0.9, 0.0, "3 Hz")
-    facts = Facts("none", answer("none").gap, tone)
+    facts = bare("none", answer("none").gap, tone)
     assert "90 % of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(
-        statement(facts)
+        answer_lines(facts)
     )
     assert "oscillation in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
-    assert "with the input at zero" in experiment(facts)
-    assert "with the input at zero" not in experiment(replace(facts, ties=(("bias", "gravity"),)))
+    assert "with the input at zero" in what_to_measure(facts)
+    assert "with the input at zero" not in what_to_measure(
+        replace(facts, ties=(("bias", "gravity"),))
+    )
     few = Unexplained(True, OUTLIERS, 0.7, 0.0, "16 of 180 segments, the worst at 1.4 s")
-    said = " ".join(statement(replace(facts, remains=few)))
+    said = " ".join(answer_lines(replace(facts, remains=few)))
     assert (
         "70 % of the residual's power is in segments with a large error (16 of 180 segments, the"
         " worst at 1.4 s)" in said
@@ -353,7 +378,7 @@ def test_a_name_that_stands_for_its_class_says_so(answer):
     assert "The model lacks: cogging torque or gravity on an unbalanced mass named" in text_of(
         page_of(named)
     )
-    lines = statement(Facts("named", named.gap, named.remains, named.effects, named.ties))
+    lines = answer_lines(bare("named", named.gap, named.remains, named.effects, named.ties))
     assert lines[1].endswith(
         "from gravity on an unbalanced mass (gravity), which fits equally well."
     )
@@ -495,7 +520,7 @@ def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
     refused = replace(
         named.rounds[0].candidates[-1],
         gain=math.nan,
-        note="effects 'backlash' and 'compliance' " + 9 * "a load ",
+        reason="effects 'backlash' and 'compliance' " + 9 * "a load ",
     )
     rounds = (replace(named.rounds[0], candidates=(*named.rounds[0].candidates[:1], refused)),)
     [text] = [
@@ -510,9 +535,9 @@ def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
 def test_a_name_from_outside_cannot_become_markup(answer):
     bad = replace(
         answer("named"),
-        findings=("<script>alert(1)</script>",),
-        statement=("a < b",),
-        undetected={"<b>": "&"},
+        notes=("<script>alert(1)</script>",),
+        leads=("a < b",),
+        limits=(Undetected("<b>", "&"),),
     )
     page = page_of(bad)
     assert "<script>" not in page
@@ -540,8 +565,8 @@ def test_the_overlay_shows_where_it_was_worst():
     still = np.zeros(10_000)
     error = np.where((time > 6) & (time < 7), 1.0, 0.1)
     error[::7] = np.nan
-    quiet = Trace("quiet", time, still, still, 0.2 * still, still, still > 0)
-    loud = Trace("loud", time, still, still, error, still, still > 0)
+    quiet = RecordTrace("quiet", time, still, still, 0.2 * still, still, still > 0)
+    loud = RecordTrace("loud", time, still, still, error, still, still > 0)
     found = worst_part([quiet, loud], 2.0)
     assert found is not None
     trace, part = found
@@ -618,12 +643,12 @@ def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
     assert list(reported_parameters(two_terms)) == ["amplitude", "sine2", "cosine2"]
 
 
-def test_words_are_those_of_the_axis_and_of_its_input():
+def test_words_are_those_of_the_axis_and_of_its_input(fabricated):
     bias = Named(
         "bias", "bias", {"torque": Estimate(0.06, "N", (0.05, 0.07), at_bound=True)}, 9.0, 0.001
     )
     gap, left = Gap(2.0, 1.0, 0.5, "m"), Unexplained(True, None, 0.4, 0.6)
-    facts = Facts(
+    facts = bare(
         "named",
         gap,
         left,
@@ -631,12 +656,12 @@ def test_words_are_those_of_the_axis_and_of_its_input():
         [("bias", "asymmetric_coulomb")],
         {"bias.torque": bias.parameters["torque"]},
     )
-    turning = " ".join(statement(facts)) + experiment(facts)
+    turning = " ".join(answer_lines(facts)) + what_to_measure(facts)
     assert "Missing: constant torque (bias). " in turning
     assert "60 % of the torque of the input" in turning
     assert "a constant torque stays what it is" in turning
-    facts = replace(facts, wording=Wording(linear=True, input_kind="force"))
-    linear = " ".join(statement(facts)) + experiment(facts)
+    facts = replace(facts, model=fabricated.linear_model())
+    linear = " ".join(answer_lines(facts)) + what_to_measure(facts)
     assert re.findall(r"\S*torque", linear) == ["torque", "bias.torque"]  # names of parameters
     assert (
         effect("back_emf", Wording(input_kind="current")).description
@@ -646,7 +671,7 @@ def test_words_are_those_of_the_axis_and_of_its_input():
 
 def test_what_was_not_found_is_not_said_to_need_what_the_records_have(fabricated):
     [found] = detection_limits(
-        [Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0
+        [EffectFit("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0
     )
     assert undetected([found], fabricated.model()) == {
         "backlash": "tried; the likelihood gain does not exceed chance; what shows it: reversals"

@@ -9,10 +9,12 @@ from copy import copy
 import numpy as np
 import pytest
 
+from bristle.diagnosis.answer import OUTLIERS
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
-from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SIGN_DRAWS, shares
+from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, shares
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.localisation.views import clocks, hats, hysteresis
+from bristle.diagnosis.report.text.said import said
 
 SHARE = 0.6
 MADE = {  # a torque that follows a view, of the motion and the time t
@@ -69,9 +71,9 @@ def test_what_follows_a_view_is_found_there(plain, view):
     assert found[0].p == 1 / (SIGN_DRAWS + 1)
     assert 0.6 * share < found[0].share < 1.15 * share  # what is fitted is held back a little
     if view == "tone":
-        assert float(found[0].label.removesuffix(" Hz")) == pytest.approx(6.3, abs=0.1)
+        assert float(said(found[0].label).removesuffix(" Hz")) == pytest.approx(6.3, abs=0.1)
     if view == "theta":
-        assert found[0].label == "9 in a turn"
+        assert said(found[0].label) == "9 in a turn"
 
 
 def test_noise_follows_nothing(plain):
@@ -100,7 +102,7 @@ def test_outlier_segments_are_recognised(plain):
     assert found[0].view == OUTLIERS
     assert found[0].share > 0.9
     assert found[0].p < 1e-3
-    assert found[0].label.startswith(f"3 of {len(live)} segments")
+    assert said(found[0].label).startswith(f"3 of {len(live)} segments")
 
 
 def test_the_same_residual_is_judged_the_same(plain):

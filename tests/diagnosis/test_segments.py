@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.estimation.dataset import Grid, Segments, cut, smooth
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
-from bristle.diagnosis.preparation import fixed_values
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator, fixed_values
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

@@ -17,7 +17,7 @@ from bristle.cli.commands.diagnose import search_options
 from bristle.common.deadline import OutOfTime, check_deadline, until
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, records_from_arrays
-from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.answer import Diagnosis
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.workflow import SEARCH_SHARE
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.answer import OUTLIERS, Gap
 from bristle.diagnosis.localisation.unexplained import FinalModel, unexplained
 from bristle.diagnosis.localisation.views import Share
-from bristle.diagnosis.report.result import Gap
 
 TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error

@@ -13,17 +13,16 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.answer import TorqueCurve, Unexplained, UnnamedTorque
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
-from bristle.diagnosis.filling import _reason, unnamed_torque
-from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.localisation.unnamed_torque import Curve
 from bristle.diagnosis.modelfile import model_text
-from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.report.export import augment, nothing_filled
-from bristle.diagnosis.report.figures import draw
+from bristle.diagnosis.report.figures.of_diagnosis import draw
 from bristle.diagnosis.report.html import render
-from bristle.diagnosis.report.result import UnnamedTorque
-from bristle.diagnosis.whole.validation import validate
+from bristle.diagnosis.report.text.statement import not_offered
+from bristle.diagnosis.stages.unnamed_torque import _refusal, torque_of
+from bristle.diagnosis.workflow import validate
 from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
@@ -60,9 +59,9 @@ def found_in(model, missing):
     records = records_from_arrays(model, [(f"run {k}", *simulated(k, missing)) for k in (1, 2, 3)])
     dataset = dataset_of(model, records[:2])
     base = fit_with_noise(dataset, *base_servo_of(model, dataset))
-    case = SimpleNamespace(model=model, dataset=dataset)
+    case = SimpleNamespace(model=model, dataset=dataset, final=base)
     return (
-        unnamed_torque(case, SimpleNamespace(remains=LEFT, proposal="", final=base)),
+        torque_of(case),
         base,
         records[2],
     )
@@ -82,7 +81,7 @@ def test_a_torque_of_no_name_is_found_with_its_band_and_helps_on_another_record(
     assert np.sqrt(np.mean(departure**2)) < 0.01
     assert found.after < 0.25 * found.before
     diagnosis = replace(
-        answer("none"), model=model, remains=LEFT, unnamed=found, base={}, parameters={}
+        answer("none"), model=model, remains=LEFT, unnamed=found, base={}, fitted={}
     )
     filled = augment(diagnosis, fill=True).model
     filled = replace(filled, parameters={name: found.values[name] for name in filled.parameters})
@@ -97,21 +96,19 @@ def test_a_torque_of_no_name_is_found_with_its_band_and_helps_on_another_record(
 def test_where_nothing_is_missing_nothing_is_offered(model):
     found, _, _ = found_in(model, lambda v: 0.0)
     assert not found.offered
-    assert found.reason
+    assert not_offered(found.refused)
 
 
 def made_up(offered=True):
-    curve = Curve(
+    curve = TorqueCurve(
         "v",
         -6.0,
         6.0,
         np.sin(np.linspace(-6, 6, UNNAMED_KNOTS)) * 0.03,
         np.full(UNNAMED_KNOTS, 0.004),
     )
-    reason = "" if offered else "it does not help"
-    return UnnamedTorque(
-        (curve,), offered, 9e-7, 3e-7 if offered else 8.5e-7, "rad", {"J": 0.0123}, reason
-    )
+    refused, after = (None, 3e-7) if offered else ("it does not help", 8.5e-7)
+    return UnnamedTorque((curve,), 9e-7, after, "rad", {"J": 0.0123}, refused)
 
 
 def test_it_is_put_into_the_model_only_on_request_and_reads_back(answer):
@@ -189,6 +186,8 @@ def test_it_can_be_asked_for_where_nothing_is_named_but_not_beside_a_choice(answ
 
 
 def test_a_fall_that_is_too_small_is_not_rounded_to_the_one_that_is_asked():
-    curve = Curve("v", -1.0, 1.0, np.zeros(UNNAMED_KNOTS), np.ones(UNNAMED_KNOTS))
-    assert "by a factor of 1.19 only, and 1.2 is asked" in _reason((curve, 1.1999))
-    assert _reason((curve, 0.7)).endswith("does not lower the squared error on held-out segments")
+    curve = TorqueCurve("v", -1.0, 1.0, np.zeros(UNNAMED_KNOTS), np.ones(UNNAMED_KNOTS))
+    assert "by a factor of 1.19 only, and 1.2 is asked" in not_offered(_refusal((curve, 1.1999)))
+    assert not_offered(_refusal((curve, 0.7))).endswith(
+        "does not lower the squared error on held-out segments"
+    )

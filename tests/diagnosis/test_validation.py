@@ -17,7 +17,7 @@ import bristle
 from bristle.common.errors import BristleError
 from bristle.common.provenance import provenance_of
 from bristle.diagnosis import Model, Record, validate, validate_fmu
-from bristle.diagnosis.whole.report import VALIDATION_FILES, render, write_validation
+from bristle.diagnosis.report.validation_page import VALIDATION_FILES, render, write_validation
 from bristle.fmus import obtain
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program

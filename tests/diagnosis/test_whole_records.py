@@ -13,10 +13,10 @@ from scipy.signal import lfilter
 
 from bristle.common.metrics import fit_percent, mse_percent, rms
 from bristle.diagnosis import Model, Record, diagnose
-from bristle.diagnosis.estimation.simulator import Free, Servo
-from bristle.diagnosis.estimation.uncertainty import Estimate, refitted_estimates
-from bristle.diagnosis.preparation import fixed_values
-from bristle.diagnosis.whole.open_loop import (
+from bristle.diagnosis.answer import Estimate
+from bristle.diagnosis.estimation.simulator import Free, Servo, fixed_values
+from bristle.diagnosis.estimation.uncertainty import refitted_estimates
+from bristle.diagnosis.validation.long_simulation import (
     GROWTH,
     Records,
     general_horizon,

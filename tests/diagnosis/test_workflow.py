@@ -24,6 +24,7 @@ from bristle.diagnosis import Model, conclusion, diagnose, fmu_model, records_fr
 from bristle.diagnosis import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import model_text
+from bristle.diagnosis.report.text.said import said
 from bristle.diagnosis.workflow import teller
 from bristle.fmus import build
 
@@ -274,7 +275,10 @@ def test_a_linear_axis_has_nothing_that_turns(
     assert [e.name for e in found.effects] == ["hard_stop"]
     assert found.effects[0].parameters["stiffness"].unit == "N/m"
     refused = {
-        c.name: c.note for r in found.rounds for c in r.candidates if c.note.startswith("needs")
+        c.name: said(c.reason)
+        for r in found.rounds
+        for c in r.candidates
+        if c.reason and said(c.reason).startswith("needs")
     }
     assert (
         refused["gravity"]
@@ -282,7 +286,7 @@ def test_a_linear_axis_has_nothing_that_turns(
         == "needs a shaft that turns: this axis is linear"
     )
     assert found.undetected["gravity"] == refused["gravity"]
-    assert not any("in a turn" in view.label for view in found.where)
+    assert not any("in a turn" in said(view.label) for view in found.where)
 
 
 @pytest.mark.slow

@@ -11,9 +11,9 @@ import pytest
 
 from bristle.common import pages
 from bristle.common.drawing import Drawing
+from bristle.diagnosis.answer import Undetected, ValidatedRecord, Validation
 from bristle.diagnosis.report import html as diagnosis_page
-from bristle.diagnosis.whole import report as validation_page
-from bristle.diagnosis.whole.validation import ValidatedRecord, Validation
+from bristle.diagnosis.report import validation_page
 from bristle.harness.baseline import comparison_page
 from bristle.harness.baseline.verdicts import (
     Comparison,
@@ -160,13 +160,10 @@ def diagnosis_of(_):
     text = ""
     for make in fabricated.CASES.values():
         found = make()
-        lines = {name: (EVIL,) for name in ("statement", "findings", "proposals")}
         found = replace(
             found,
-            **lines,
-            experiment=EVIL,
-            undetected={EVIL: EVIL},
-            excitation={EVIL: EVIL, "caveats": (EVIL,)},
+            **{name: (EVIL,) for name in ("leads", "notes", "corrections")},
+            limits=(Undetected(EVIL, EVIL),),
             traces=tuple(replace(each, name=EVIL) for each in found.traces),
         )
         words = diagnosis_page.captions(found)

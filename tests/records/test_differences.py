@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.proposal import propose
-from bristle.diagnosis.proposal_text import model_text
+from bristle.diagnosis.init.proposal import propose
+from bristle.diagnosis.report.proposed_model import model_text
 from bristle.records import records_from_arrays
 from bristle.records.differences import are_differences, summed
 from bristle.records.layout import LayoutTable, layout_lines, layout_of

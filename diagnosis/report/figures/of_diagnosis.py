@@ -28,17 +28,18 @@ from bristle.common.drawing import (
     svg,
 )
 from bristle.common.time_plot import time_curve, time_level, time_panel, time_span
+from bristle.diagnosis.answer import CandidateEffect, Diagnosis, RecordTrace, ResidualView, Round
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.axes import shown
-from bristle.diagnosis.report.open_loop import (
+from bristle.diagnosis.report.figures.axes import shown
+from bristle.diagnosis.report.figures.whole_records import (
     horizon_figure,
     horizons_seen,
     open_loop_figure,
     whole_curves,
     worst,
 )
-from bristle.diagnosis.report.result import Diagnosis, Round, Trace, View
-from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
+from bristle.diagnosis.report.text.names import AXES, NATS, effect_name, view_name
+from bristle.diagnosis.report.text.said import said
 from bristle.plant.wording import Wording
 
 Array = NDArray[np.float64]
@@ -184,10 +185,10 @@ def _mean_square(error: Array, count: int) -> Array:
 
 
 def worst_part(
-    traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS
-) -> tuple[Trace, slice] | None:
+    traces: Sequence[RecordTrace], seconds: float = OVERLAY_SECONDS
+) -> tuple[RecordTrace, slice] | None:
     """Return the record and the part of it in which the error was largest before."""
-    best: tuple[float, Trace, slice] | None = None
+    best: tuple[float, RecordTrace, slice] | None = None
     for trace in traces:
         if len(trace.time) < 2:
             continue
@@ -233,7 +234,7 @@ def _overlay(diagnosis: Diagnosis) -> Any:
     return figure
 
 
-def _along(ax: Any, trace: Trace, part: slice, model: Model, both: bool) -> None:
+def _along(ax: Any, trace: RecordTrace, part: slice, model: Model, both: bool) -> None:
     """Draw the errors along the whole record, and which part is shown below."""
     factor, unit = shown(model.output_unit)
     count = max(2, round(ERROR_SLICE / float(np.median(np.diff(trace.time)))))
@@ -260,12 +261,12 @@ def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
 
 
 # -- residual maps ---------------------------------------------------------------------------------
-def drawn_views(views: Sequence[View]) -> list[View]:
+def drawn_views(views: Sequence[ResidualView]) -> list[ResidualView]:
     """Return the views that are drawn."""
     return [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
 
 
-def _maps(views: Sequence[View], model: Model, both: bool) -> Any:
+def _maps(views: Sequence[ResidualView], model: Model, both: bool) -> Any:
     drawn = drawn_views(views)
     if not drawn:
         return None
@@ -291,7 +292,7 @@ def _thousands(values: Sequence[Array]) -> int:
     return 0 if most == 0 or 0.01 <= most < 1e4 else 3 * math.floor(math.log10(most) / 3)
 
 
-def _map(ax: Any, view: View, model: Model, both: bool, scale: float) -> None:
+def _map(ax: Any, view: ResidualView, model: Model, both: bool, scale: float) -> None:
     factor, label = view_axis(model, view.view, view.period)
     x = factor * view.centres
     for row, before in enumerate(np.atleast_2d(view.before)):
@@ -402,37 +403,18 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     drawn = ranked[:DRAWN_BARS]
     best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
     right = 1.35 * max(best, each.null_level, 1e-9)
+    text: Any = {"va": "center", "fontsize": 8, "color": INK, "clip_on": True, "bbox": LABEL}
+    dashed: Any = {"color": LIMIT, "linewidth": 1.0, "linestyle": (0, (4, 3))}
     for row, candidate in enumerate(drawn):
-        ax.barh(row, candidate.level, color=LIMIT, alpha=0.16, height=0.98, linewidth=0)
-        ax.plot(
-            [candidate.level] * 2,
-            [row - 0.49, row + 0.49],
-            color=LIMIT,
-            linewidth=1.0,
-            linestyle=(0, (4, 3)),
-        )
-        tried = math.isfinite(candidate.gain)
-        gain = max(candidate.gain, 0.0) if tried else 0.0
-        colour = (
-            AFTER if candidate.name == each.added else BEFORE if candidate.name in tied else PALE
-        )
+        # what chance reaches, up to a dashed line
+        level, name = candidate.level, candidate.name
+        ax.barh(row, level, color=LIMIT, alpha=0.16, height=0.98, linewidth=0)
+        ax.plot([level] * 2, [row - 0.49, row + 0.49], **dashed)
+        # the gain, with its number beside it
+        gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
+        colour = AFTER if name == each.added else BEFORE if name in tied else PALE
         ax.barh(row, gain, color=colour, height=0.62)
-        gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
-        note = (
-            f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})"
-            if candidate.note
-            else ""
-        )
-        ax.text(
-            gain + 0.012 * right,
-            row,
-            f"{gained}{note}",
-            va="center",
-            fontsize=8,
-            color=INK,
-            clip_on=True,
-            bbox=LABEL,
-        )
+        ax.text(gain + 0.012 * right, row, _beside_bar(candidate), **text)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
     ax.set_yticks(
@@ -442,6 +424,16 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
     set_labels(ax, x="gain, nats")
+
+
+def _beside_bar(candidate: CandidateEffect) -> str:
+    """Return the gain of a candidate in figures, or why it was not tried, in short."""
+    gained = "not tried"
+    if math.isfinite(candidate.gain):
+        gained = format(candidate.gain, ".0f" if candidate.gain >= 100 else ".3g")
+    if not candidate.reason:
+        return gained
+    return f"{gained}  ({textwrap.shorten(said(candidate.reason), NOTE_LETTERS, placeholder=' …')})"
 
 
 # -- whole records ---------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import numpy as np
 
 from bristle.common.metrics import rms
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Finding, Reason, finding
 
 DRAWS = 24  # inputs of random steps to choose from
 # of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
@@ -178,17 +179,17 @@ def varied(rng: np.random.Generator, u: Array, n: int, h: float) -> Array:
 
 @dataclass(frozen=True)
 class Input:
-    """An input to choose from: what it is in words, and its values (n,) at one level or several,
+    """An input to choose from: the kind of motion, and its values (n,) at one level or several,
     the strongest first.
     """
 
-    what: str
+    motion: Finding
     levels: tuple[Array, ...]
 
     @classmethod
-    def at_levels(cls, what: str, u: Array) -> Input:
+    def at_levels(cls, motion: Finding, u: Array) -> Input:
         """Return an input (n,) at all `INPUT_LEVELS`."""
-        return cls(what, tuple(level * u for level in INPUT_LEVELS))
+        return cls(motion, tuple(level * u for level in INPUT_LEVELS))
 
 
 def inputs(
@@ -207,21 +208,17 @@ def inputs(
     for seed in range(DRAWS if spare > 0 else 0):
         rng = np.random.default_rng(seed)
         plan = planned(rng, axis, limits, spare, h)
-        found.append(
-            Input(
-                "steps of many sizes with rests, ramps and sweeps",
-                (steps(rng, axis, plan, n, follow),),
-            )
-        )
+        drawn = steps(rng, axis, plan, n, follow)
+        found.append(Input(finding(Reason.MANY_STEPS), (drawn,)))
     if axis.friction > 0:
-        found.append(Input.at_levels("slow ramps of the input through zero", ramps(axis, n, h)))
+        found.append(Input.at_levels(finding(Reason.SLOW_RAMPS), ramps(axis, n, h)))
     for u in recorded:
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
-        found.append(Input.at_levels("a recorded input", np.resize(u, n)))
-        found.append(Input.at_levels("a recorded input, quickened", np.resize(quick, n)))
+        found.append(Input.at_levels(finding(Reason.RECORDED_INPUT), np.resize(u, n)))
+        found.append(Input.at_levels(finding(Reason.QUICKENED_INPUT), np.resize(quick, n)))
         for seed in range(VARIED_DRAWS):
             other = varied(np.random.default_rng(seed), u, n, h)
-            found.append(Input.at_levels("a recorded input, its pace and size varied", other))
+            found.append(Input.at_levels(finding(Reason.VARIED_INPUT), other))
     return found
 
 

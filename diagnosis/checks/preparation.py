@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bristle.common.errors import BristleError
+from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
 from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
+from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING, InputShare
+from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.estimation.dataset import (
+    SEGMENT_SECONDS,
     STATE_SMOOTHING,
     Dataset,
     Grid,
@@ -25,32 +28,98 @@ from bristle.diagnosis.estimation.fitted_model import (
     fit_from_several_starts,
     has_diverged,
 )
-from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
+from bristle.diagnosis.estimation.likelihood import FitPoint, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
     Free,
     Servo,
+    fixed_values,
     free_parameters,
 )
-from bristle.diagnosis.modelfile import NO_LIMIT, Model
+from bristle.diagnosis.modelfile import Model
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
-SEGMENT_SECONDS = 0.4  # s: length of a segment for a servo of the usual time constant
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
 SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
 SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
-LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
-SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
 # of the sensor's step: largest deflection of the bristles of rigid friction
 BRISTLE_DEFLECTION = 0.25
+
+
+@dataclass(frozen=True)
+class PreparedCase:
+    """What is searched: a model and records, the records as a dataset, and the model fitted to it
+    without further effects.
+
+    `notes`: of the records; `later`: of their preparation, which follow those of the search.
+    `remark` adds what else is to be said of an answer once the conclusion is known.
+    """
+
+    model: Model
+    records: Sequence[Record]
+    dataset: Dataset
+    base: FittedModel
+    notes: tuple[Line, ...] = ()
+    later: tuple[Line, ...] = ()
+    remark: Callable[[Diagnosis], Diagnosis] | None = None
+
+
+def notes_of(records: Sequence[Record], input_share: InputShare | None) -> tuple[Line, ...]:
+    """Return what is said of the records: what their reading noticed, and how the input was
+    held.
+    """
+    first, *others = records
+    held = () if input_share is None else (input_share.note,)
+    return (*first.findings, *held, *(line for record in others for line in record.findings))
+
+
+def prepared_case(
+    model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
+) -> PreparedCase | Diagnosis:
+    """Return the model fitted to the records, or a diagnosis where both seem to describe different
+    things.
+    """
+    said, dataset = check(model, records), dataset_of(model, records)
+    if said.corrections:
+        gap = nominal_gap(dataset, *base_servo_of(model, dataset))
+        return implausible(model, records, gap, said, notes)
+    tell("base refit", 0.0)
+    dataset, base, lines = prepare_model(model, records, dataset)
+    return PreparedCase(model, records, dataset, base, notes, (*lines, *said.notes))
+
+
+def implausible(
+    model: Model,
+    records: Sequence[Record],
+    gap: float,
+    said: Plausibility,
+    notes: tuple[Line, ...],
+) -> Diagnosis:
+    """Return a diagnosis where data and model seem to describe different things; `gap` as of
+    `not_searched`.
+    """
+    lead = finding(Reason.IMPLAUSIBLE, corrections=said.corrections)
+    answer = not_searched(model, records, gap, lead, (*notes, *said.notes))
+    return replace(answer, corrections=said.corrections)
+
+
+def not_searched(
+    model: Model, records: Sequence[Record], gap: float, lead: Finding, notes: tuple[Line, ...]
+) -> Diagnosis:
+    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output
+    squared], `lead` is why.
+    """
+    errors = Gap(gap, gap, None, model.output_unit)
+    excited = excitation(model, records)
+    return Diagnosis("not_identifiable", errors, excited, model, leads=(lead,), notes=notes)
 
 
 def segment_seconds(model: Model, records: Sequence[Record]) -> float:
@@ -93,13 +162,13 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
     shown = excitation(model, records)
-    excluded = excluded_effects(model, shown["lacks"])
+    excluded = excluded_effects(model, shown.lacks)
     return Dataset(
         segments,
         moved,
         resolution,
         least,
-        shown["narrow"],
+        shown.uniform,
         excluded,
         model.linear,
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
@@ -140,35 +209,23 @@ def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
     }
 
 
-def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, str]:
+def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, Finding]:
     """Return the effects that are no candidates, each with the reason: the servo of a model cannot
-    lack them, the sensor cannot show them, or the records lack (`lacks`) what they need."""
-    law = find_law(model.friction)
-    found = {
-        e.name: reason for e in effects().values() if e.excluded and (reason := e.excluded(law))
-    }
-    turning = [e.name for e in effects().values() if e.once_per_turn and model.linear]
-    found |= {name: "needs a shaft that turns: this axis is linear" for name in turning}
-    if model.output_kind == "velocity":
-        found |= {
-            e.name: "needs a measured position: the output is a velocity"
-            for e in effects().values()
-            if e.follow
-        }
-    lacking = {e.name: [need for need in e.needs if need in lacks] for e in effects().values()}
-    return found | {
-        name: f"the records lack {' and '.join(needs)}" for name, needs in lacking.items() if needs
-    }
-
-
-def fixed_values(h: float) -> dict[str, float]:
-    """Return the settings of the simulation for a sampling period."""
-    step = h / math.ceil(h / LONGEST_INTERNAL_STEP - 1e-9)
-    return {
-        "solver.friction_step": step,
-        "solver.tolerance": SMOOTH_LAW_TOLERANCE,
-        "u_max": NO_LIMIT,
-    }
+    lack them, the sensor cannot show them, or the records lack (`lacks`) what they need.
+    """
+    law, unknown = find_law(model.friction), model.output_kind == "velocity"
+    found = {}
+    for e in effects().values():
+        # the last reason that holds is given
+        if e.excluded and (why := e.excluded(law)):
+            found[e.name] = finding(Reason.REFUSED, why=why)
+        if e.once_per_turn and model.linear:
+            found[e.name] = finding(Reason.LINEAR_AXIS)
+        if e.follow and unknown:
+            found[e.name] = finding(Reason.NO_POSITION)
+        if needs := tuple(need for need in e.needs if need in lacks):
+            found[e.name] = finding(Reason.RECORDS_LACK, what=needs)
+    return found
 
 
 def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, float]]:
@@ -244,7 +301,7 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
 
 def prepare_model(
     model: Model, records: Sequence[Record], dataset: Dataset
-) -> tuple[Dataset, FittedModel, list[str]]:
+) -> tuple[Dataset, FittedModel, list[Finding]]:
     """Return the records in segments that the model can follow, the model fitted to them, and
     findings.
 
@@ -262,11 +319,8 @@ def prepare_model(
                 fit_from_several_starts(shorter, *base_servo_of(model, shorter)),
             )
     seconds = dataset.segments.seconds
-    line = (
-        f"the simulation diverges from these records within {usual:.3g} s: segments of"
-        f" {seconds:.3g} s were compared instead"
-    )
-    return dataset, base, [line] if seconds < usual else []
+    said = finding(Reason.SHORTER_SEGMENTS, usual=usual, seconds=seconds)
+    return dataset, base, [said] if seconds < usual else []
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
@@ -275,6 +329,6 @@ def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> 
     """
     s = dataset.segments
     problem = Problem.of(s, white_noise(s.bins, 1.0), s.counted)
-    fit = evaluate(problem, Point(servo.simulator(s), servo.free, dict(values), s.initial))
+    fit = evaluate(problem, FitPoint(servo.simulator(s), servo.free, dict(values), s.initial))
     live = fit.weight > 0
     return mean_square(fit, live) if live.any() else math.nan

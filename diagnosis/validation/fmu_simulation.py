@@ -6,8 +6,9 @@ import numpy as np
 
 from bristle.common.errors import RestartError
 from bristle.common.table import Array
+from bristle.diagnosis.answer import Finding, Line, Reason, finding
 from bristle.diagnosis.estimation.dataset import Segments
-from bristle.diagnosis.whole.open_loop import OpenLoop, Records, split
+from bristle.diagnosis.validation.long_simulation import OpenLoop, Records, split
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import (
     Replay,
@@ -27,14 +28,15 @@ class FmuSimulator:
     """
 
     def __init__(self, fmu: Fmu, velocity: bool, timeout: float | None = None) -> None:
-        self.fmu, self.timeout, self.why_whole = fmu, timeout, ""
+        self.fmu, self.timeout = fmu, timeout
+        self.why_whole: Line | None = None
         self._output = "v" if velocity else "theta"
         wanted = ("v",) if velocity else ("theta", "v")
         self._begins = {
             name: variable for name in wanted if (variable := start_variable(fmu, name)) is not None
         }
         if missing := [name for name in wanted if name not in self._begins]:
-            self.why_whole = f"no parameter {missing[0]}_start and no start value of {missing[0]}"
+            self.why_whole = finding(Reason.NO_START_VARIABLE, variable=missing[0])
 
     def open_loop(self, records: Records, seconds: float) -> OpenLoop | None:
         """Return the outputs of the FMU that begins anew after so many seconds, positions at the
@@ -43,7 +45,7 @@ class FmuSimulator:
         An FMU that cannot be started from a given state gives whole records alone (else None),
         moved onto what was measured.
         """
-        if not self.why_whole:
+        if self.why_whole is None:
             try:
                 return split(records, self._restarted(records.stretches(seconds, records.samples)))
             except RestartError as error:
@@ -90,13 +92,10 @@ class FmuSimulator:
         )
         return np.array([out[:, 0] for out in played.outputs])
 
-    def lines(self) -> list[str]:
+    def notes(self) -> list[Finding]:
         """Return how the FMU was run, where that matters."""
-        if not self.why_whole:
+        if self.why_whole is None:
             return []
-        moved = " and moved onto what was measured" if self._output == "theta" else ""
-        how = f"whole records were simulated from its own start{moved}, and no shorter horizons"
-        return [
-            f"{self.fmu.path.name} cannot be started from a measured state ({self.why_whole}):"
-            f" {how}"
-        ]
+        moved = self._output == "theta"
+        why = self.why_whole
+        return [finding(Reason.FMU_OWN_START, fmu=self.fmu.path.name, why=why, moved=moved)]

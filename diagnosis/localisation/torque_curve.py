@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
+from bristle.diagnosis.answer import TorqueCurve
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
-from bristle.diagnosis.estimation.likelihood import Point, squares
+from bristle.diagnosis.estimation.likelihood import FitPoint, squares
 from bristle.diagnosis.estimation.optimiser import refit as refit_parameters
 from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.estimation.uncertainty import INTERVAL_FACTOR
@@ -27,42 +28,12 @@ RANGE_QUANTILES = (0.005, 0.995)  # of the variable in motion: the range that a 
 
 
 @dataclass(frozen=True)
-class Curve:
-    """An unnamed torque over one variable: `values` [N.m] at even places from `low` to `high`,
-    linear between, constant beyond.
-    """
-
-    variable: str  # v, theta, u or t
-    low: float
-    high: float
-    values: Array  # (UNNAMED_KNOTS,)
-    half_width: Array  # (UNNAMED_KNOTS,), of the 95 % band
-
-    @property
-    def effect(self) -> str:
-        """Name of the unnamed torque in a servo."""
-        return f"unnamed_torque_{self.variable}"
-
-    @property
-    def places(self) -> Array:
-        """Values of the variable at which `values` are."""
-        return np.linspace(self.low, self.high, UNNAMED_KNOTS)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Its parameters by their short names."""
-        return {"low": self.low, "high": self.high} | {
-            f"value{k + 1}": float(x) for k, x in enumerate(self.values)
-        }
-
-
-@dataclass(frozen=True)
-class Filled:
+class FittedCurve:
     """A model with the curve that explains most of what it leaves, fitted to the training
     segments.
     """
 
-    curve: Curve
+    curve: TorqueCurve
     fitted: FittedModel
     before: Array  # (held-out segments,): mean squared errors [output squared] without the curve
     after: Array  # the same with it
@@ -166,7 +137,7 @@ def _solved(columns: _Columns) -> tuple[Array, Array, float]:
     return np.asarray(values), np.asarray(1.96 * INTERVAL_FACTOR * spread), gain
 
 
-def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
+def fitted_curve(dataset: Dataset, final: FittedModel) -> FittedCurve | None:
     """Fit what a model leaves as a smooth function of the variable that predicts most of it in
     left-out segments.
 
@@ -175,7 +146,7 @@ def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
     out from the search take no part.
     """
     response = ResidualResponse(final, dataset)
-    best: tuple[float, Curve, Array] | None = None
+    best: tuple[float, TorqueCurve, Array] | None = None
     for variable, x in _variables(dataset, final).items():
         low, high = map(float, np.quantile(x[dataset.motion.moving], RANGE_QUANTILES))
         if not high > low:
@@ -183,7 +154,7 @@ def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
         hats = _hats(x, low, high)
         values, half, gain = _solved(_columns(response, hats, np.zeros(UNNAMED_KNOTS)))
         if gain > (0.0 if best is None else best[0]):
-            best = gain, Curve(variable, low, high, values, half), hats
+            best = gain, TorqueCurve(variable, low, high, values, half), hats
     if best is None:
         return None
     _, curve, hats = best
@@ -199,9 +170,9 @@ def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
             **fitted.fit.values,
             **{f"{curve.effect}.{name}": x for name, x in curve.parameters.items()},
         }
-        point = Point(simulator, servo.free, known, fitted.fit.initial)
+        point = FitPoint(simulator, servo.free, known, fitted.fit.initial)
         fit = refit_with_noise(dataset, refit_parameters(fitted.problem, point))
         problem = under_own_noise(dataset, fit)
         fitted = FittedModel(servo, problem, resume(problem, fit))
     before, after = (squares(each.fit, dataset.held_out) for each in (final, fitted))
-    return Filled(curve, fitted, before, after)
+    return FittedCurve(curve, fitted, before, after)

@@ -13,16 +13,16 @@ import numpy as np
 
 from bristle.common.metrics import rms
 from bristle.common.table import Array, factor_to
+from bristle.diagnosis.answer import DesignedInput, Diagnosis, Finding
 from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.conclusion import Case, Conclusion
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS
-from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
-from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
-from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import DesignedInput
-from bristle.diagnosis.selection.criterion import SearchRound, group
+from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
+from bristle.diagnosis.stages.case import Budget, SearchedCase
+from bristle.diagnosis.stages.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.stages.inputs import Axis, Input, Limits, inputs
 from bristle.records.headings import without_unit
+from bristle.records.layout import Layout
 
 EXPERIMENT_SECONDS = 20.0  # s: length of the record
 MOST_RIVALS = 4  # models that an input is to tell apart at most
@@ -91,7 +91,7 @@ class _Design:
             if outputs is not None:
                 of = dict(zip((rival.name for rival in self.rivals), outputs, strict=True))
                 gain = min(lead(of[a.name], u, b, self.setup) for a, b in self.pairs)
-                return _Trial(given.what, u, tuple(outputs), max(gain - self.own_lead(u), 0.0))
+                return _Trial(given.motion, u, tuple(outputs), max(gain - self.own_lead(u), 0.0))
         return None
 
     def own_lead(self, u: Array) -> float:
@@ -113,35 +113,39 @@ class _Design:
 class _Trial:
     """An input with the outputs of the rivals and its gain [nats]."""
 
-    what: str
+    motion: Finding
     u: Array
     outputs: tuple[Array, ...]
     gain: float
 
-    def allows_a_name(self, case: Case) -> bool:
+    def allows_a_name(self, case: SearchedCase) -> bool:
         """True if it decides, and a name may follow from all records then."""
         some, h = case.records[0], case.dataset.segments.h
         time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
         record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
-        return (
-            self.gain > TIE_NATS and not excitation(case.model, [*case.records, record])["narrow"]
-        )
+        return self.gain > TIE_NATS and not excitation(case.model, [*case.records, record]).uniform
 
 
 def _class_of(rival: Rival) -> str:
     return group(rival.name) if rival.name else ""
 
 
-def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInput | None:
-    """Return the input that tells apart what a conclusion leaves open by most, or None if it leaves
+def designed_experiment(case: SearchedCase, answer: Diagnosis, budget: Budget) -> Diagnosis:
+    """Return an answer with the input of a record that would tell apart what it leaves open."""
+    return replace(answer, designed=design(case, answer, budget.options))
+
+
+def design(case: SearchedCase, answer: Diagnosis, options: SearchOptions) -> DesignedInput | None:
+    """Return the input that tells apart what an answer leaves open by most, or None if it leaves
     nothing open.
 
     It keeps to the input, its rms and the positions of the records, also under disturbances as
     large as theirs.
     """
-    rivals = tuple(rivals_of(case, found))
+    rivals = tuple(rivals_of(case, answer))
     if len(rivals) < 2:
         return None
+    # what the records keep to
     s, m = case.dataset.segments, case.dataset.motion
     n = s.bins * s.width * max(3, round(EXPERIMENT_SECONDS / s.seconds))
     positions = (float(m.theta.min()), float(m.theta.max()))
@@ -151,6 +155,7 @@ def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInp
     start = 0.0 if s.velocity else usual.middle
     ends = max(piece.time + s.h * len(piece.u) for piece in s.pieces)
     plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
+    # the best of all inputs that keep to it, if possible one after which a name may follow
     choice = inputs(
         _axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow
     )
@@ -168,38 +173,37 @@ def _axis(rival: Rival, u: Array) -> Axis:
     return Axis(values["J"], values.get("a2", 0.0), friction, values["b"])
 
 
-def rivals_of(case: Case, found: Conclusion) -> Iterator[Rival]:
+def rivals_of(case: SearchedCase, answer: Diagnosis) -> Iterator[Rival]:
     """Give the models that explain the records alike: the members of a tie or class, or those next
     to no effect at all.
     """
-    if found.proposal or found.verdict == "none":
+    if answer.corrections or answer.verdict == "none":
         return
-    deciding = _deciding_round(found)
-    names = {*found.undecided} or (
-        {deciding.best.name, *deciding.ties} if deciding.best and deciding.ties else set()
-    )
+    deciding, undecided = _deciding_round(case, answer), case.rounds[-1].said.undecided
+    names = undecided or (deciding.said.tied if deciding.said.ties else ())
     fitted = sorted(
-        (c for c in deciding.candidates if c.fit is not None), key=lambda c: -c.penalised_likelihood
+        (c for c in deciding.trials if c.fit is not None), key=lambda c: -c.penalised_likelihood
     )
-    members = [c for c in fitted if c.name in names]
-    if found.verdict == "not_identifiable":
-        members = members or fitted[:CLOSEST]
-        yield Rival("", found.final.fit)
-    for c in members[: MOST_RIVALS - (found.verdict == "not_identifiable")]:
+    members, most = [c for c in fitted if c.name in names], MOST_RIVALS
+    if answer.verdict == "not_identifiable":
+        members, most = members or fitted[:CLOSEST], MOST_RIVALS - 1
+        yield Rival("", case.final.fit)
+    for c in members[:most]:
         assert c.fit is not None
         yield Rival(c.name, c.fit)
 
 
-def _deciding_round(found: Conclusion) -> SearchRound:
+def _deciding_round(case: SearchedCase, answer: Diagnosis) -> TrialRound:
     """Return the round whose candidates are compared: the last one, or the last that gave a name,
     if that is in a tie.
     """
-    if found.undecided or found.verdict != "named":
-        return found.rounds[-1]
-    return next((r for r in reversed(found.rounds) if r.named and r.ties), found.rounds[-1])
+    last = case.rounds[-1]
+    if last.said.undecided or answer.verdict != "named":
+        return last
+    return next((r for r in reversed(case.rounds) if r.said.added and r.said.ties), last)
 
 
-def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
+def _described(plan: _Design, case: SearchedCase, best: _Trial | None) -> DesignedInput:
     """Return what is reported of the best input, if there is one."""
     column = case.model.input
     factor = factor_to(column.unit, column.scale, case.model.input_unit)
@@ -213,7 +217,7 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
         tuple(rival.name for rival in plan.rivals),
         gain,
         TIE_NATS,
-        best.what if best else "",
+        best.motion if best else None,
         column.unit,
         *ends,
         plan.setup.start,
@@ -224,7 +228,7 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
     )
 
 
-def _headings(model: Model) -> tuple[str, str]:
+def _headings(model: Layout) -> tuple[str, str]:
     """Return the columns of the file: as the records name them, with units."""
     return (
         f"{without_unit(model.time.column)} [s]",

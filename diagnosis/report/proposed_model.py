@@ -11,8 +11,9 @@ from bristle.common.errors import BristleError
 from bristle.common.output import output_folder, replace_file
 from bristle.common.toml import quoted
 from bristle.common.units import parse_unit
+from bristle.diagnosis.init.proposal import Proposal
 from bristle.diagnosis.modelfile import Model, own_unit
-from bristle.diagnosis.proposal import Proposal
+from bristle.diagnosis.report.text.said import said
 from bristle.model.variables import Parameter
 from bristle.plant.friction import law
 from bristle.plant.servo import A2, B, J
@@ -50,7 +51,7 @@ def model_text(found: Proposal, command: str) -> str:
             f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check"
             " what is assumed:"
         ),
-        *(f"#   - {line}" for line in found.doubts or ("nothing",)),
+        *(f"#   - {said(line)}" for line in found.doubts or ("nothing",)),
         f"# Next: {command}",
         "",
         _with('friction = "coulomb"', "bristle list names other friction laws"),
@@ -78,11 +79,11 @@ def model_text(found: Proposal, command: str) -> str:
         )
     if gain:
         unit = own_unit(B, linear, kind)
-        said = (
+        about = (
             f"{unit}: not shown by input and output; if you know it, multiply J, a2, Fc and their"
             " bounds by it"
         )
-        lines.append(_with("b = 1.0", said))
+        lines.append(_with("b = 1.0", about))
     lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
     lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
     for role in ("time", "input", "output"):
@@ -144,7 +145,7 @@ def _declaration(candidate: Candidate) -> list[str]:
 
 def summary(found: Proposal) -> list[str]:
     """Return what was chosen, what the records excite and what is not certain, for a terminal."""
-    x, first = found.excitation, found.records[0]
+    x, first = found.excited.numbers, found.records[0]
     linear = found.output.linear
     shown = resolution_of(found)
     steps = f", in steps of {shown[1]}" if shown else ", without steps"
@@ -177,10 +178,10 @@ def summary(found: Proposal) -> list[str]:
         f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
     )
     notes = [*found.doubts, *(line for record in found.records for line in record.findings)]
-    notes += (
-        [f"these records cannot tell effects apart by form: {x['narrow']}"] if x["narrow"] else []
-    )
-    return [*lines, *(f"  - {line}" for line in (*notes, *x["caveats"]))]
+    if found.excited.uniform:
+        why = said(found.excited.uniform)
+        notes.append(f"these records cannot tell effects apart by form: {why}")
+    return [*lines, *(f"  - {said(line)}" for line in (*notes, *found.excited.caveats))]
 
 
 def _or(found: Proposal, role: str) -> str:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, read_columns
 from bristle.common.units import interval
+from bristle.diagnosis.answer import Excitation, Finding, Line, Reason, finding
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import CLEARER_RATIO
 from bristle.diagnosis.checks.records import NEEDS
@@ -74,13 +74,13 @@ class Proposal:
         Other candidates for each of these roles, the likeliest first.
     rough : dict of str to Rough
         J, a2 and Fc; per unit of the input where this is a voltage or a current.
-    doubts : tuple of str
-        What could not be told and was assumed, one line each.
+    doubts : tuple of Finding or str
+        What could not be told and was assumed.
     records : tuple of Record
         The records, checked and repaired.
     explained : float
         Share of the input that J, a2 and Fc explain.
-    excitation : dict
+    excited : Excitation
         What the records excite, as a diagnosis reports it.
     differences : bool
         Whether the output is a velocity that is the difference of a position's readings; the
@@ -93,10 +93,10 @@ class Proposal:
     output: Candidate
     others: Mapping[str, tuple[Candidate, ...]]
     rough: Mapping[str, Rough]
-    doubts: tuple[str, ...]
+    doubts: tuple[Line, ...]
     records: tuple[Record, ...]
     explained: float
-    excitation: Mapping[str, Any]
+    excited: Excitation
     differences: bool
 
 
@@ -172,7 +172,7 @@ def propose(
         "output": _other(outputs, best.output),
     }
     model = model_of(best.layout, rough)
-    said = (
+    doubted: list[Line] = [
         *times[0].doubts,
         *best.input.doubts,
         *best.output.doubts,
@@ -180,7 +180,7 @@ def propose(
         *sign_doubt,
         *rough_doubts,
         *_one_sign(best),
-    )
+    ]
     return Proposal(
         tuple(listed),
         times[0],
@@ -188,12 +188,17 @@ def propose(
         best.output,
         others,
         rough,
-        tuple(dict.fromkeys(said)),
+        tuple(_distinct(doubted)),
         tuple(best.records),
         best.share,
         excitation(model, best.records),
         best.layout.differences,
     )
+
+
+def _distinct(lines: Sequence[Line]) -> list[Line]:
+    """Return each line once."""
+    return [line for k, line in enumerate(lines) if line not in lines[:k]]
 
 
 def _other(found: Sequence[Candidate], chosen: Candidate) -> tuple[Candidate, ...]:
@@ -224,7 +229,7 @@ def _best(
     time: Candidate,
     inputs: Sequence[Candidate],
     outputs: Sequence[Candidate],
-) -> tuple[_Reading, list[str]]:
+) -> tuple[_Reading, list[Finding]]:
     """Return the likeliest pair by name and, among equal ones, by the share of the torque that it
     explains.
     """
@@ -244,16 +249,11 @@ def _best(
                 rivals.setdefault(name, each.best)
         if rivals:
             name, share = next(iter(rivals.items()))
-            doubts.append(
-                f"{len(rivals) + 1} columns may be the {role}: '{chosen}' is taken, with which"
-                f" inertia and friction explain {best.best:.0%} of the input; with '{name}'"
-                f" {share:.0%}"
-            )
+            seen = {"explained": best.best, "other": name, "other_explained": share}
+            which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
+            doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
     if best.best < LEAST_SHARE:
-        doubts.append(
-            f"inertia and friction explain only {best.best:.0%} of the input: are these the right"
-            " columns?"
-        )
+        doubts.append(finding(Reason.UNEXPLAINED_INPUT, explained=best.best))
     return best, doubts
 
 
@@ -328,7 +328,7 @@ def _layout(time: Candidate, u: Candidate, y: Candidate) -> Layout:
     return layout_of(LayoutTable.model_validate(tree), "proposal")
 
 
-def _with_sign(reading: _Reading) -> tuple[_Reading, list[str]]:
+def _with_sign(reading: _Reading) -> tuple[_Reading, list[Finding]]:
     """Return a reading with the input's sign turned if it acts against its direction."""
     if not (reading.turned > 0.0 and 1.0 - reading.share > CLEARER_RATIO * (1.0 - reading.turned)):
         return reading, []
@@ -339,7 +339,6 @@ def _with_sign(reading: _Reading) -> tuple[_Reading, list[str]]:
     records = [replace(record, u=-record.u) for record in reading.records]
     layout = replace(reading.layout, input=turned.column)
     rows = None if reading.rows is None else replace(reading.rows, torque=-reading.rows.torque)
-    line = f"a positive '{column.column}' moves the output backwards; its sign is turned by scale"
     return replace(
         reading,
         input=turned,
@@ -348,23 +347,20 @@ def _with_sign(reading: _Reading) -> tuple[_Reading, list[str]]:
         rows=rows,
         share=reading.turned,
         turned=0.0,
-    ), [line]
+    ), [finding(Reason.SIGN_TURNED, column=column.column)]
 
 
-def _one_sign(reading: _Reading) -> list[str]:
+def _one_sign(reading: _Reading) -> list[Finding]:
     """Return a doubt about a speed that may have lost its sign."""
     y, u = (np.concatenate([getattr(r, name) for r in reading.records]) for name in ("y", "u"))
     if reading.output.kind != "velocity" or np.min(y) < 0.0 or not np.min(u) < 0.0 < np.max(u):
         return []
     name = reading.output.column.column
-    return [
-        f"'{name}' is never negative while the input has both signs: was the speed measured without"
-        " its sign?"
-    ]
+    return [finding(Reason.NEVER_NEGATIVE, column=name)]
 
 
 # -- rough parameters ------------------------------------------------------------------------------
-def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
+def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     """Return rough parameters with bounds, and what the records do not show."""
     if reading.rows is None:
         raise BristleError(
@@ -385,7 +381,7 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
             rough[name] = Rough(
                 _rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO)
             )
-            doubts.append("the records hardly show the inertia; J is a guess")
+            doubts.append(finding(Reason.GUESSED_INERTIA))
             continue
         error = float(found.error[k]) if known[k] else None
         value = _rounded(max(value, 0.0))

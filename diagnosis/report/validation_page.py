@@ -18,13 +18,13 @@ from bristle.common.output import (
     to_json,
 )
 from bristle.common.provenance import provenance
-from bristle.diagnosis.report.open_loop import (
-    Curve,
+from bristle.diagnosis.answer import ValidatedRecord, Validation
+from bristle.diagnosis.report.figures.whole_records import (
+    DrawnModel,
     horizon_figure,
     horizons_seen,
     open_loop_figure,
 )
-from bristle.diagnosis.whole.validation import ValidatedRecord, Validation
 
 VALIDATION_FILES = ("validation.json", "report.html")
 DRAWN_RECORDS = 8  # records that are drawn, each of which takes 0.1 MB of the page
@@ -100,7 +100,7 @@ def _drawn(kind: str, record: ValidatedRecord, place: int) -> tuple[Drawing, Dra
     """Return the figures of a record, along it and of the error against the horizon."""
     from matplotlib import rc_context
 
-    curve = Curve("simulated", ESTIMATE, record.simulated, record.horizons)
+    curve = DrawnModel("simulated", ESTIMATE, record.simulated, record.horizons)
     with rc_context(STYLE):
         along = svg(open_loop_figure(record.trace, [curve], (kind, record.unit)), f"record{place}")
         horizons = horizon_figure([curve], record.unit)

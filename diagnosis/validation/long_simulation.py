@@ -26,7 +26,7 @@ from bristle.diagnosis.estimation.dataset import (
     cut,
 )
 from bristle.diagnosis.estimation.initial_states import refine_initial_states
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
+from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate
 from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
@@ -186,7 +186,7 @@ def with_fitted_starts(
     """Return the simulation of stretches with given parameters, their starts fitted; `least`: error
     that counts as none.
     """
-    point = Point(servo.simulator(segments), (), dict(values), segments.initial)
+    point = FitPoint(servo.simulator(segments), (), dict(values), segments.initial)
     simulated, _, good, _ = point.simulator.run(values, segments.initial)
     error = (segments.measured - simulated)[good]
     level = rms(error[np.isfinite(error)])
@@ -249,7 +249,7 @@ def refit_horizon(
     level = first = fitted_error(fit)
     for _ in range(LEVEL_PASSES if stays(fit) else 0):
         problem = open_loop_problem(segments, max(level, least))
-        fit = refit(problem, Point(fit.simulator, servo.free, fit.values, fit.initial))
+        fit = refit(problem, FitPoint(fit.simulator, servo.free, fit.values, fit.initial))
         before, level = level, fitted_error(fit)
         if not level < LEVEL_FALL * before:
             break

@@ -11,12 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bristle.common.metrics import fit_percent, rms
-from bristle.diagnosis.conclusion import Case, Conclusion
+from bristle.diagnosis.answer import (
+    Diagnosis,
+    Estimate,
+    HorizonError,
+    Named,
+    RecordError,
+    RecordTrace,
+    WholeRecords,
+)
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.estimation.uncertainty import refitted_estimates
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.whole.open_loop import (
+from bristle.diagnosis.stages.case import Budget, SearchedCase
+from bristle.diagnosis.validation.long_simulation import (
     Grown,
     OpenLoop,
     Records,
@@ -57,9 +65,7 @@ class _Long:
         """Return the simulation of stretches of so many seconds."""
         return open_loop(self.servo, self.last if refitted else self.values, records, seconds)
 
-    def estimates(
-        self, model: Model, before: Mapping[str, answer.Estimate]
-    ) -> dict[str, answer.Estimate]:
+    def estimates(self, model: Model, before: Mapping[str, Estimate]) -> dict[str, Estimate]:
         """Return estimates with those of the refit in their place."""
         return (
             dict(before)
@@ -68,65 +74,71 @@ class _Long:
         )
 
 
-def refit_to_whole_records(
-    case: Case, found: Conclusion, refit: bool = True
-) -> tuple[Conclusion, answer.WholeRecords]:
-    """Return a conclusion with parameters refitted to whole records, if that is wanted and
-    generalises, and the errors over these.
+def refitted_to_whole_records(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
+    """Return an answer with parameters refitted to whole records, if that generalises, and the
+    errors over these.
 
     Verdict, names and gap stay those of the segments.
     """
-    times, segment = found.final.fit.simulator.segments.times, case.dataset.segments.seconds
+    return _over_whole_records(case, answer, refit=True)
+
+
+def as_fitted_to_segments(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
+    """Return an answer with the errors over whole records, its parameters as the segments gave
+    them.
+    """
+    return _over_whole_records(case, answer, refit=False)
+
+
+def _over_whole_records(case: SearchedCase, answer: Diagnosis, refit: bool) -> Diagnosis:
+    times, segment = case.final.fit.simulator.segments.times, case.dataset.segments.seconds
     records = Records.of(case.dataset, case.records, times)
-    after = _Long(
-        open_loop_servo(found.final.servo), _values(found.final.fit.values, found.parameters)
-    )
+    # both models, which are one where no effect is named
+    after = _Long(open_loop_servo(case.final.servo), _values(case.final.fit.values, answer.fitted))
     before = after
-    if found.final is not case.base:
-        before = _Long(open_loop_servo(case.base.servo), _values(case.base.fit.values, found.base))
+    if case.final is not case.base:
+        before = _Long(open_loop_servo(case.base.servo), _values(case.base.fit.values, answer.base))
     same = before is after
+    # their refit, the model before the search only where the one after it is refitted
     most = general_horizon(after.servo, after.values, records, segment) if refit else 0.0
     if most > 0:
         after = after.refitted(records, segment, most)
-        before = (
-            after
-            if same
-            else before.refitted(records, segment, most)
-            if after.grown.fit is not None
-            else before
-        )
-    parameters = after.estimates(case.model, found.parameters)
-    effects = tuple(
-        replace(
-            e,
-            parameters={
-                key: parameters.get(f"{e.name}.{key}", old) for key, old in e.parameters.items()
-            },
-        )
-        for e in found.effects
-    )
-    whole = replace(_whole_records(case, records, before, after, found.parameters), tried=refit)
+        if same:
+            before = after
+        elif after.grown.fit is not None:
+            before = before.refitted(records, segment, most)
+    fitted = after.estimates(case.model, answer.fitted)
+    whole = _whole_records(case, records, before, after, answer.fitted)
     return replace(
-        found, base=before.estimates(case.model, found.base), parameters=parameters, effects=effects
-    ), whole
+        answer,
+        base=before.estimates(case.model, answer.base),
+        fitted=fitted,
+        effects=tuple(_with_values(effect, fitted) for effect in answer.effects),
+        whole=replace(whole, tried=refit),
+    )
 
 
-def _values(
-    fitted: Mapping[str, float], estimates: Mapping[str, answer.Estimate]
-) -> dict[str, float]:
+def _with_values(effect: Named, fitted: Mapping[str, Estimate]) -> Named:
+    """Return an effect with the estimates of its parameters that there are by their full names."""
+    own = {key: fitted.get(f"{effect.name}.{key}", e) for key, e in effect.parameters.items()}
+    return replace(effect, parameters=own)
+
+
+def _values(fitted: Mapping[str, float], estimates: Mapping[str, Estimate]) -> dict[str, float]:
     """Return the parameters of a fit, those that were refitted to all segments in their place."""
     return {**fitted, **{name: e.value for name, e in estimates.items()}}
 
 
 def _whole_records(
-    case: Case,
+    case: SearchedCase,
     records: Records,
     before: _Long,
     after: _Long,
-    segment_parameters: Mapping[str, answer.Estimate],
-) -> answer.WholeRecords:
+    segment_parameters: Mapping[str, Estimate],
+) -> WholeRecords:
     segment, refitted = case.dataset.segments.seconds, after.grown.fit is not None
     lengths = [segment, *records.horizons(segment)]
+    # each length simulated before and after, and after as the segments gave the parameters
     new = [after.simulated(records, seconds) for seconds in lengths]
     old = new if before is after else [before.simulated(records, seconds) for seconds in lengths]
     usual = (
@@ -136,22 +148,19 @@ def _whole_records(
     )
     curve = zip(lengths, old, usual, new, strict=True)
     horizons = tuple(
-        answer.HorizonError(seconds, *(each.error for each in three)) for seconds, *three in curve
+        HorizonError(seconds, *(each.error for each in three)) for seconds, *three in curve
     )
+    # the longest one, record by record
+    times = {given.name: given.time for given in case.records}
     whole = zip(records.all, new[-1].measured, old[-1].simulated, new[-1].simulated, strict=True)
     rows, traces = [], []
     for r, y, first, last in whole:
+        n, unit = len(y), case.model.output_unit
         fits = fit_percent(y, first), fit_percent(y, last)
-        rows.append(
-            answer.RecordError(r.name, case.model.output_unit, rms(y - first), rms(y - last), *fits)
-        )
-        time = next(given.time for given in case.records if given.name == r.name)
-        traces.append(
-            answer.Trace(
-                r.name, time[: len(y)], r.u[: len(y)], y, first, last, np.zeros(len(y), dtype=bool)
-            )
-        )
+        rows.append(RecordError(r.name, unit, rms(y - first), rms(y - last), *fits))
+        seen = y, first, last, np.zeros(n, dtype=bool)
+        traces.append(RecordTrace(r.name, times[r.name][:n], r.u[:n], *seen))
     grown = after.grown
-    return answer.WholeRecords(
+    return WholeRecords(
         tuple(rows), horizons, grown.seconds, grown.whole, dict(segment_parameters), tuple(traces)
     )

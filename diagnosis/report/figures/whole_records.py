@@ -23,14 +23,14 @@ from bristle.common.drawing import (
     set_title,
 )
 from bristle.common.time_plot import time_curve, time_level, time_panel
-from bristle.diagnosis.report.axes import shown
-from bristle.diagnosis.report.result import Trace, WholeRecords
+from bristle.diagnosis.answer import RecordTrace, WholeRecords
+from bristle.diagnosis.report.figures.axes import shown
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Curve:
+class DrawnModel:
     """A model in the figure: its output along the record that is drawn (or None), and (horizon [s],
     rms error) of all records.
     """
@@ -42,7 +42,9 @@ class Curve:
     style: Any = "-"
 
 
-def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, str]) -> Any:
+def open_loop_figure(
+    trace: RecordTrace, curves: Sequence[DrawnModel], output: tuple[str, str]
+) -> Any:
     """Return the figure of one record; `output` is kind and SI unit of what was measured."""
     kind, si = output
     factor, name = shown(si)
@@ -80,7 +82,7 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
     return figure
 
 
-def horizon_figure(curves: Sequence[Curve], si: str) -> Any:
+def horizon_figure(curves: Sequence[DrawnModel], si: str) -> Any:
     """Return the figure of the error against the horizon, in the SI unit `si` of the output; None
     if there is no error.
     """
@@ -115,7 +117,7 @@ def horizon_figure(curves: Sequence[Curve], si: str) -> Any:
     return figure
 
 
-def horizons_seen(curves: Sequence[Curve], si: str) -> str:
+def horizons_seen(curves: Sequence[DrawnModel], si: str) -> str:
     """Return what the figure of the error against the horizon shows: its ends."""
     factor, name = shown(si)
     words = []
@@ -137,7 +139,7 @@ def worst(whole: WholeRecords) -> int:
     return int(np.argmin(fits))
 
 
-def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
+def whole_curves(whole: WholeRecords, both: bool) -> list[DrawnModel]:
     """Return the models of the figures of a diagnosis, along the record that fits worst; `both` if
     before and after differ.
     """
@@ -145,12 +147,12 @@ def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
     seconds = [h.seconds for h in whole.horizons]
     after = list(zip(seconds, (h.after for h in whole.horizons), strict=True))
     before = list(zip(seconds, (h.before for h in whole.horizons), strict=True))
-    curves = [Curve("before", OTHER, trace.before, before)] if both else []
+    curves = [DrawnModel("before", OTHER, trace.before, before)] if both else []
     if whole.refitted:
         segments = list(zip(seconds, (h.segments for h in whole.horizons), strict=True))
-        curves.append(Curve("as fitted to segments", BASELINE, None, segments))
+        curves.append(DrawnModel("as fitted to segments", BASELINE, None, segments))
     curves.append(
-        Curve(
+        DrawnModel(
             "after" if both else "refitted model",
             ESTIMATE,
             trace.after,

@@ -4,88 +4,86 @@ all with the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from bristle.common.table import Array
-from bristle.diagnosis.conclusion import Case, Conclusion
+from bristle.diagnosis.answer import HALVES, Diagnosis, RecordAgreement
 from bristle.diagnosis.estimation.dataset import Mask, Segments
 from bristle.diagnosis.estimation.likelihood import Fit
 from bristle.diagnosis.estimation.optimiser import predicted_gain, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES
 from bristle.diagnosis.estimation.uncertainty import covariance
-from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.text import disagreement_advice, disagreement_line
+from bristle.diagnosis.stages.case import Budget, SearchedCase
 
 CHANCE = 1e-3  # probability that records which agree gain more than the level
 LEVEL_FACTOR = 4.0  # times the gain that chance gives under the noise model, which is not exact
 
 
-def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
+def agreement(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
+    """Return an answer that says whether the records agree on the parameters; as it is where bounds
+    must be widened first.
+    """
+    return with_agreement(answer, None if answer.corrections else agreement_of(case))
+
+
+def with_agreement(answer: Diagnosis, agrees: RecordAgreement | None) -> Diagnosis:
+    """Return an answer with whether the records agree; where they do not, without a noise floor:
+    what differs between them is in it.
+    """
+    gap = answer.gap if agrees is None or agrees.holds else replace(answer.gap, noise_floor=None)
+    return replace(answer, agreement=agrees, gap=gap)
+
+
+def agreement_of(case: SearchedCase) -> RecordAgreement | None:
     """Return whether the parts of the data are as likely with the parameters of all as with
-    parameters of their own.
+    parameters of their own; None where refits end on the way.
 
     The parts are the records, or the halves of a single one. A wrong model makes up for its error
     by other values where the motion is another, and something that was changed between two records
-    shows in one of them. None where bounds must be widened first.
+    shows in one of them.
 
     Source: wilks1938 (distribution of the likelihood ratio).
     """
-    if found.proposal:
-        return None
-    problem, parts = found.final.problem, dict(_parts(case.dataset.segments))
+    common, parts = case.fit, dict(_parts(case.dataset.segments))
     if any(not mask.any() for mask in parts.values()):
         return None
-    fits = [resume(problem.only(mask), found.fit) for mask in parts.values()]
+    # the gain of parameters of its own for each part, and what chance gives
+    fits = [resume(case.final.problem.only(mask), common) for mask in parts.values()]
     gain = sum(
-        float((fit.score - found.fit.score)[mask].sum())
+        float((fit.score - common.score)[mask].sum())
         for fit, mask in zip(fits, parts.values(), strict=True)
     )
-    freedom = len(found.fit.free) * (len(parts) - 1)
+    freedom = len(common.free) * (len(parts) - 1)
     level = LEVEL_FACTOR * 0.5 * float(chi2.isf(CHANCE, freedom))
     if gain <= level < gain + sum(map(predicted_gain, fits)):
         return None  # the refits ended on the way, as those of contacts may
-    shown = [k for k, f in enumerate(found.fit.free) if not f.name.startswith(f"{OWN_BRISTLES}.")]
+    # the values of each part
+    shown = [k for k, f in enumerate(common.free) if not f.name.startswith(f"{OWN_BRISTLES}.")]
     known = np.array([np.diag(fit.information)[shown] > 0 for fit in fits])
-    names = [found.fit.free[k].name for k in shown]
-    own = {
+    own = _own_values(
+        [common.free[k].name for k in shown], dict(zip(parts, fits, strict=True)), known
+    )
+    units = {name: case.model.unit(name) for name in own}
+    return RecordAgreement(max(gain, 0.0), level, own, units, _most_different(fits, known, shown))
+
+
+def _own_values(
+    names: Sequence[str], fits: Mapping[str, Fit], known: Mask
+) -> dict[str, dict[str, float | None]]:
+    """Return each parameter's value in each part of the data; None where that says nothing of
+    it.
+    """
+    return {
         name: {
             part: float(fit.values[name]) if seen else None
-            for part, fit, seen in zip(parts, fits, column, strict=True)
+            for (part, fit), seen in zip(fits.items(), column, strict=True)
         }
         for name, column in zip(names, known.T, strict=True)
     }
-    units = {name: case.model.unit(name) for name in own}
-    return answer.Agreement(max(gain, 0.0), level, own, units, _most_different(fits, known, shown))
-
-
-def without_floor(found: Conclusion, agrees: answer.Agreement | None) -> Conclusion:
-    """Return a conclusion without a noise floor where the records do not agree: what differs
-    between them is in it.
-    """
-    return (
-        found
-        if agrees is None or agrees.holds
-        else replace(found, gap=replace(found.gap, noise_floor=None))
-    )
-
-
-def with_agreement(
-    diagnosis: answer.Diagnosis, agrees: answer.Agreement | None
-) -> answer.Diagnosis:
-    """Return a diagnosis that says first where the records do not agree, and what to do then."""
-    if agrees is None or agrees.holds:
-        return replace(diagnosis, agreement=agrees)
-    what = " ".join(filter(None, (disagreement_advice(agrees), diagnosis.experiment)))
-    return replace(
-        diagnosis,
-        agreement=agrees,
-        statement=(disagreement_line(agrees), *diagnosis.statement),
-        experiment=what,
-    )
 
 
 def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
@@ -93,7 +91,7 @@ def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
     names, places = [piece.name for piece in segments.pieces], segments.places
     if len(places) == 1:
         middle = places[0].stop // 2
-        names, places = list(answer.HALVES), [slice(middle), slice(middle, None)]
+        names, places = list(HALVES), [slice(middle), slice(middle, None)]
     for name, place in zip(names, places, strict=True):
         mask = np.zeros_like(segments.counted)
         mask[place] = segments.counted[place]

@@ -1,0 +1,3 @@
+"""The figures of the pages, as SVG."""
+
+__all__: list[str] = []

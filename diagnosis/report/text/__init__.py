@@ -1,0 +1,3 @@
+"""The sentences of an answer, written from its codes."""
+
+__all__: list[str] = []
