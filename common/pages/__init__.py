@@ -21,6 +21,8 @@ from markupsafe import Markup, escape
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+__all__: list[str] = []  # for the rooms of the library
+
 # characters that may stand unescaped in an address inside quotes
 URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"
 
