@@ -13,7 +13,7 @@ import tempfile
 import time
 import tomllib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bristle.fmus import obtain
@@ -45,12 +45,15 @@ SERIOUS = (
 OWN = Path(__file__).with_name("check_own.toml")
 HEAD = """# What `bristle check` finds
 
-Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points. Made by
-`python benchmarks/check_mutants.py > benchmarks/results/check_mutants.md`
+Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points.
+Made by `python benchmarks/check_mutants.py > benchmarks/results/check_mutants.md`
 """
 
+Row = tuple[str, str, set[str]]  # defect, point made for it, points that find it
+OwnRow = tuple[str, set[str]]  # defect, points that find it
 
-def behaviour_rows(good: dict[int, Path]) -> Iterator[tuple[str, str, set[str]]]:
+
+def behaviour_rows(good: dict[int, Path]) -> Iterator[Row]:
     """Give each defect of behaviour, the point made for it, and the points that find it."""
     for name, fmi, point in BEHAVIOUR_MUTANTS:
         rows = judged([Task(good[fmi], each, {"MUTANT": name}) for each in BEHAVIOUR])
@@ -61,9 +64,7 @@ def behaviour_rows(good: dict[int, Path]) -> Iterator[tuple[str, str, set[str]]]
         )
 
 
-def static_rows(
-    entries: dict[int, dict[str, bytes]], folder: Path
-) -> Iterator[tuple[str, str, set[str]]]:
+def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[Row]:
     """Give each defect of archive, libraries or description, the point made for it, and the points
     that find it.
     """
@@ -114,7 +115,7 @@ def rebuilt(entries: dict[str, bytes], defect: dict[str, str], path: Path) -> Pa
     return Path(pack(path, changed))
 
 
-def own_rows(folder: Path) -> Iterator[tuple[str, set[str]]]:
+def own_rows(folder: Path) -> Iterator[OwnRow]:
     """Give each defect in our own sources and the points that find it."""
     with zipfile.ZipFile(obtain("plant", law="viscous", encoder=False)) as archive:
         entries = {name: archive.read(name) for name in archive.namelist()}
@@ -145,45 +146,52 @@ def main(others: list[str]) -> None:
         entries = {fmi: good_entries(fmi, folder) for fmi in (2, 3)}
         good = {fmi: pack(folder / f"good{fmi}.fmu", entries[fmi]) for fmi in (2, 3)}
         rows = [*static_rows(entries, folder), *behaviour_rows(good)]
-        caught = sum(point in found for _, point, found in rows)
-        points = {point for _, point, found in rows if point in found}
-        print(
-            f"{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect"
-            " that is made for them. "
-        )
-        print(
-            f"{len(rows)} defects, {caught} found by the point made for them,"
-            f" {sum(bool(f) for *_, f in rows)} by any.\n"
-        )
         own = list(own_rows(folder))
-        print(
-            f"{len(own)} defects in our own FMU, {sum(bool(found) for _, found in own)} found by"
-            " any.\n"
-        )
-        print("## FMUs without defects\n")
-        print(
-            f"{SERIOUS}\n\n| FMU | points passed | serious | notes | s | s of one core"
-            " |\n|---|---|---|---|---|---|"
-        )
+        print_counts(rows, own)
+        print(f"""## FMUs without defects
+
+{SERIOUS}
+
+| FMU | points passed | serious | notes | s | s of one core |
+|---|---|---|---|---|---|""")
         for fmi in (2, 3):
             checked(f"good, FMI {fmi}", good[fmi])
             for what in ("plant", "observer", "controller"):
                 checked(f"{what}, FMI {fmi}", obtain(what, fmi=fmi))
         for path in others:
             checked(Path(path).name, Path(path))
-    print(
-        "\n## Defects\n\n| defect | point made for it | found | found by others, too"
-        " |\n|---|---|---|---|"
-    )
+    print_defects(rows, own)
+
+
+def print_counts(rows: Sequence[Row], own: Sequence[OwnRow]) -> None:
+    caught = sum(point in found for _, point, found in rows)
+    points = {point for _, point, found in rows if point in found}
+    by_any, seen = sum(bool(found) for *_, found in rows), sum(bool(found) for _, found in own)
+    count = len(POINTS) + len(BEHAVIOUR)
+    print(f"""{count} points, {len(points)} of them seen to fail on a defect that is made for them.
+{len(rows)} defects, {caught} found by the point made for them, {by_any} by any.
+
+{len(own)} defects in our own FMU, {seen} found by any.
+""")
+
+
+def print_defects(rows: Sequence[Row], own: Sequence[OwnRow]) -> None:
+    print("""
+## Defects
+
+| defect | point made for it | found | found by others, too |
+|---|---|---|---|""")
     for defect, point, found in rows:
         more = ", ".join(f"`{each}`" for each in sorted(found - {point})) or "-"
         print(f"| {defect} | `{point}` | {'yes' if point in found else 'NO'} | {more} |")
-    print("\n## Defects in our own FMU\n")
-    print(
-        "In the C sources of the plant with viscous friction (`benchmarks/check_own.toml`), found"
-        " by any point.\n"
-    )
-    print("| defect | found by |\n|---|---|")
+    print("""
+## Defects in our own FMU
+
+In the C sources of the plant with viscous friction (`benchmarks/check_own.toml`), found by any
+point.
+
+| defect | found by |
+|---|---|""")
     for defect, found in own:
         print(f"| {defect} | {', '.join(f'`{each}`' for each in sorted(found)) or 'NONE'} |")
 

@@ -173,19 +173,19 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
             worst, settled = max(r.error for r in each), max(r.settling for r in each)
             good &= worst <= (case.error or math.inf)
             cells.append(f"{worst:.3g} / {settled:.1f}")
-        both = [r for each in found.values() for r in each]
-        valid = (
-            f"{np.nanmax([r.valid_error for r in both]):.3g}"
-            if any(r.valid_share for r in both)
-            else "-"
-        )
-        share = f"{100 * min(r.valid_share for r in both):.0f}"
-        cells += [valid, share, f"{min(r.microseconds for r in both):.2f}"]
-        lines.append(
-            f"| {case.name} | {plant} | {' | '.join(cells)} |"
-            f" {'stated' if case.error is None else f'{case.error:g}'} |"
-        )
+        cells += both_orders([r for each in found.values() for r in each])
+        limit = "stated" if case.error is None else f"{case.error:g}"
+        lines.append(f"| {case.name} | {plant} | {' | '.join(cells)} | {limit} |")
     return "\n".join(lines), good
+
+
+def both_orders(reached: Sequence[Reached]) -> list[str]:
+    """Return the cells of both orders: error of what is valid, how much is valid, cost."""
+    valid = "-"
+    if any(r.valid_share for r in reached):
+        valid = f"{np.nanmax([r.valid_error for r in reached]):.3g}"
+    share = f"{100 * min(r.valid_share for r in reached):.0f}"
+    return [valid, share, f"{min(r.microseconds for r in reached):.2f}"]
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
 """Diagnose the cases of scenarios/hidden and compare the results with the sealed answers.
 
-    python benchmarks/hidden.py              # all cases; the table goes to benchmarks/results/hidden.md too
+    python benchmarks/hidden.py              # all cases; the table goes to results/hidden.md too
     python benchmarks/hidden.py 07 12        # these only, printed
 
 Exit code 1 if the file of answers does not match its hash. The answers are opened after the last
@@ -43,9 +43,9 @@ parameters (benchmarks/blind/gap.py). An answer is right if it names exactly the
 the catalogue, if it names none and flags an unexplained residual; for back_emf, if it names none,
 since with a torque input back EMF is the same as viscous friction, which the refit takes up.
 
-These 30 cases come from the generator of the blind test, so its limits apply: see "What these figures do not say" in
-[docs/diagnosis.md](../../docs/diagnosis.md). They are diagnosed again with every change of the rules. They are a regression test,
-and 30 of 30 is no estimate of an error rate.
+These 30 cases come from the generator of the blind test, so its limits apply: see "What these
+figures do not say" in [docs/diagnosis.md](../../docs/diagnosis.md). They are diagnosed again with
+every change of the rules. They are a regression test, and 30 of 30 is no estimate of an error rate.
 """
 
 Json = dict[str, Any]

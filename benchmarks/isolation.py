@@ -25,7 +25,8 @@ HEAD = f"""# What a process of its own costs
 run), or the same FMU given by its file (all FMUs in a process of its own). {PAIRS} pairs in turn.
 Made by `python benchmarks/isolation.py > benchmarks/results/isolation.md`
 
-| time simulated, s | built, median (least), s | by its file, median (least), s | ratio (of the least) | same signals |
+| time simulated, s | built, median (least), s | by its file, median (least), s |\
+ ratio (of the least) | same signals |
 |---|---|---|---|---|"""
 
 

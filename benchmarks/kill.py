@@ -111,7 +111,8 @@ days old; the next command had to remove it. The record that is diagnosed has {S
 store of a sweep was empty before ("old"), whole ("new") or held some of its runs ("neither");
 `--resume` made the rest. Made by `python benchmarks/kill.py > benchmarks/results/kill.md`
 
-| command | usual duration, s | kills | done | old | new | neither | done and lost | wrong digits after | litter older than a day |
+| command | usual duration, s | kills | done | old | new | neither | done and lost |\
+ wrong digits after | litter older than a day |
 |---|---|---|---|---|---|---|---|---|---|"""
 
 

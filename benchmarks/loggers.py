@@ -1,7 +1,7 @@
 """Pairs of log files of one simulated servo, as ten loggers write them: what bristle init and
 diagnose make of them.
 
-    python benchmarks/loggers.py             # bristle init on each pair, against the true parameters
+    python benchmarks/loggers.py             # bristle init on each pair, against the truth
     python benchmarks/loggers.py --diagnose  # and a diagnosis with the proposed file as it is
 
 The servo is that of the blind test (benchmarks/blind/truth.c), with a cogging torque that the
@@ -122,7 +122,8 @@ def _ros(path: Path, t: Array, torque: Array, theta: Array, speed: Array) -> Non
         ["joint"] * len(t),
         *(_fixed(x, 9) for x in (theta, speed, torque)),
     ]
-    head = "%time,field.header.seq,field.header.stamp,field.name0,field.position0,field.velocity0,field.effort0\n"
+    fields = "header.seq header.stamp name0 position0 velocity0 effort0"
+    head = ",".join(["%time", *(f"field.{name}" for name in fields.split())]) + "\n"
     _text(path, head, list(zip(*columns, strict=True)), ",")
 
 

@@ -1,9 +1,9 @@
 """Compare the results of two states of the project, digit by digit.
 
-    git worktree add ../before REVISION && ../before/scripts/run            # the state to compare with, set up
+    git worktree add ../before REVISION && ../before/scripts/run      # what to compare with
     python benchmarks/same_answers.py collect before.json --bristle ../before/.venv/bin/bristle
-    python benchmarks/same_answers.py collect after.json                    # the state of this environment
-    python benchmarks/same_answers.py compare before.json after.json        # exit code 1 where they differ
+    python benchmarks/same_answers.py collect after.json              # this environment
+    python benchmarks/same_answers.py compare before.json after.json  # exit code 1: they differ
 
 The results are collected through the command line alone, so that both states may differ in
 everything inside:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -105,8 +105,8 @@ def _run(
     law, parameters = RECORD_PLANTS[plant]
     servo = Fmu(obtain("plant"))
     instances = (
-        Instance("plant", servo, {"law": servo.choices("law")[law], **parameters}),
-        Instance(
+        BusUnit("plant", servo, {"law": servo.choices("law")[law], **parameters}),
+        BusUnit(
             "controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}
         ),
     )

@@ -33,7 +33,7 @@ from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.cosim.node import Slaves
 from bristle.harness.exchange.kit import export
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import identification, prepare
@@ -186,60 +186,48 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
     given = parser.parse_args()
     runs = given.runs
     few = max(FEW, runs // 10)
-    path, options = find_scenario(Path("quick")), Options()
+    path, options = find_scenario(Path("quick")), RunOptions()
     asked, some = (design([VARY], samples=count) for count in (runs, few))
     sweep = replace(prepare_sweep(path, asked, options), lanes=True)
     loaded = load_point(sweep, next(some.points()))
     buses, together = buses_of(sweep, some), Together(prepare(loaded, build_fmus(loaded)))
+    plain, points, seeds = replace(sweep, lanes=False), list(some.points()), range(1, FEW + 1)
     ways: dict[str, tuple[int, Callable[[], Any]]] = {
         "loop over FMUs alone, one thread": (few, lambda: by_fmus(buses)),
         "loop in lanes alone, one thread": (few, lambda: by_lanes(buses, together)),
-        "chunk without store, FMUs, one thread": (
-            few,
-            lambda: run_chunk(replace(sweep, lanes=False), list(some.points())),
-        ),
-        "chunk without store, lanes, one thread": (
-            few,
-            lambda: run_chunk(sweep, list(some.points())),
-        ),
+        "chunk without store, FMUs, one thread": (few, lambda: run_chunk(plain, points)),
+        "chunk without store, lanes, one thread": (few, lambda: run_chunk(sweep, points)),
         "`bristle sweep -j 1`": (few, lambda: swept(sweep, some, Means(1))),
         "`bristle sweep -j 2`": (runs, lambda: swept(sweep, asked, Means(2))),
-        "FMPy's calls, pool of 2 processes": (
-            FEW,
-            partial(pooled, pool, by_fmpy, range(1, FEW + 1)),
-        ),
+        "FMPy's calls, pool of 2 processes": (FEW, partial(pooled, pool, by_fmpy, seeds)),
     }
     ways |= other_importers(pool, str(export(path, kit)))
     for name in list(ways)[OWN_WAYS - 1 :]:
         ways[name][1]()  # the processes have imported then
     seconds: dict[str, list[float]] = {name: [] for name in ways}
-    cluster_rate = None
     for _ in range(ROUNDS):
         for name, (_, work) in ways.items():
             seconds[name].append(timed(work))
+    cluster_rate = rate_of_cluster(sweep, some, asked)
+    lanes = {name: lanes_over_fmus(name) for name in LANES_SCENARIOS}
+    ratios = report(ways, seconds, runs, cluster_rate, size_of(sweep, asked), lanes)
+    return 0 if judge("sweep", ratios, given.accept) else 1
+
+
+def rate_of_cluster(sweep: Sweep, some: Design, asked: Design) -> float | None:
+    """Return the speed of a cluster of two workers over that of two threads; None without Dask."""
     try:
         local_cluster: Any = import_module("distributed").LocalCluster
     except ImportError:
-        pass
-    else:
-        with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-            # its workers have imported then
-            swept(sweep, some, Means(1, cluster.scheduler_address))
-            both: list[tuple[float, float]] = []
-            for _ in range(ROUNDS):
-                there = timed(lambda: swept(sweep, asked, Means(1, cluster.scheduler_address)))
-                both.append((there, timed(lambda: swept(sweep, asked, Means(2)))))
-            cluster_rate = statistics.median(here / there for there, here in both)
-    lanes = {name: lanes_over_fmus(name) for name in LANES_SCENARIOS}
-    return (
-        0
-        if judge(
-            "sweep",
-            report(ways, seconds, runs, cluster_rate, size_of(sweep, asked), lanes),
-            given.accept,
-        )
-        else 1
-    )
+        return None
+    with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        # its workers have imported then
+        swept(sweep, some, Means(1, cluster.scheduler_address))
+        both: list[tuple[float, float]] = []
+        for _ in range(ROUNDS):
+            there = timed(lambda: swept(sweep, asked, Means(1, cluster.scheduler_address)))
+            both.append((there, timed(lambda: swept(sweep, asked, Means(2)))))
+        return statistics.median(here / there for there, here in both)
 
 
 def size_of(sweep: Sweep, asked: Design) -> tuple[int, int]:
@@ -260,47 +248,30 @@ def report(
 ) -> dict[str, float]:
     per_run = {name: statistics.median(seconds[name]) / ways[name][0] for name in ways}
     loop, _, chunk_fmus, chunk, one, two, fmpy = list(per_run.values())[:OWN_WAYS]
-    print("# What a sweep costs\n")
-    print(
-        "`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s"
-        " at 1 ms) on this machine's"
-    )
-    print(f"2 cores, {ROUNDS} rounds in turn; the median, and the range, of the rounds.\n")
+    print(f"""# What a sweep costs
+
+`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s at 1 ms)
+on this machine's 2 cores, {ROUNDS} rounds in turn; the median, and the range, of the rounds.
+""")
     print("| way | runs a round | runs a second |\n|---|---|---|")
     for name, (count, _) in ways.items():
         print(f"| {name} | {count} | {rate_of(count, seconds[name])} |")
     print("\n| figure | value | goal |\n|---|---|---|")
     print(f"| parallel efficiency of 2 threads over {runs} runs | {one / (2 * two):.2f} | >= 0.9 |")
-    print(
-        "| verdicts and numbers over the loop over FMUs, one thread |"
-        f" {100 * (chunk_fmus / loop - 1):.0f} % | |"
-    )
-    print(f"| with the store | {100 * ((chunk_fmus + one - chunk) / loop - 1):.0f} % | <= 15 % |")
-    print(
-        "| a sweep's time, one thread, over that of the loop over FMUs alone |"
-        f" {one / loop:.2f} | |"
-    )
-    print(
-        f"| sweep over FMPy's calls in a pool of as many processes | {fmpy / two:.0f} times | >= 10"
-        " times |"
-    )
+    numbers, stored = 100 * (chunk_fmus / loop - 1), 100 * ((chunk_fmus + one - chunk) / loop - 1)
+    print(f"| verdicts and numbers over the loop over FMUs, one thread | {numbers:.0f} % | |")
+    print(f"| with the store | {stored:.0f} % | <= 15 % |")
+    what = "a sweep's time, one thread, over that of the loop over FMUs alone"
+    print(f"| {what} | {one / loop:.2f} | |")
+    what = "sweep over FMPy's calls in a pool of as many processes"
+    print(f"| {what} | {fmpy / two:.0f} times | >= 10 times |")
     if cluster_rate is not None:
-        print(
-            f"| Dask LocalCluster of 2 workers over 2 threads, runs a second | {cluster_rate:.2f} |"
-            " >= 0.85 |"
-        )
+        what = "Dask LocalCluster of 2 workers over 2 threads, runs a second"
+        print(f"| {what} | {cluster_rate:.2f} | >= 0.85 |")
     print(f"| bytes a run in the store, {size[1]} files | {size[0] / runs:.0f} | |")
-    print(
-        "| largest memory of the process |"
-        f" {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB | bounded |"
-    )
-    print(
-        "\nLanes step several runs at once, with the digits of the FMUs. Of 8 runs, the loop alone,"
-        " one thread:\n"
-    )
-    print("| scenario | FMUs, ms a run | lanes, ms a run | ratio (goal >= 3) |\n|---|---|---|---|")
-    for name, (fmus, wide, ratio) in lanes.items():
-        print(f"| {name} | {fmus:.1f} | {wide:.1f} | {ratio:.2f} |")
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"| largest memory of the process | {memory:.0f} MiB | bounded |")
+    report_lanes(lanes)
     found = {
         "2 threads / 1 thread, runs a second": one / two,
         "loop over FMUs / sweep, one thread, time": loop / one,
@@ -308,9 +279,19 @@ def report(
     found |= {f"FMUs / lanes, {name}, time": ratio for name, (_, _, ratio) in lanes.items()}
     for name, spent in list(per_run.items())[OWN_WAYS - 1 :]:
         found[f"{name} / sweep of 2 threads, time"] = spent / two
-    return found | (
-        {} if cluster_rate is None else {"cluster / 2 threads, runs a second": cluster_rate}
-    )
+    if cluster_rate is not None:
+        found["cluster / 2 threads, runs a second"] = cluster_rate
+    return found
+
+
+def report_lanes(lanes: dict[str, tuple[float, float, float]]) -> None:
+    print("""
+Lanes step several runs at once, with the digits of the FMUs. Of 8 runs, the loop alone, one thread:
+
+| scenario | FMUs, ms a run | lanes, ms a run | ratio (goal >= 3) |
+|---|---|---|---|""")
+    for name, (fmus, wide, ratio) in lanes.items():
+        print(f"| {name} | {fmus:.1f} | {wide:.1f} | {ratio:.2f} |")
 
 
 if __name__ == "__main__":

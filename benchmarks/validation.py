@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "lugre_original.toml"
@@ -40,7 +40,7 @@ def main() -> int:
                     f"controller.parameters.order={order}",
                     f"validation.seed={1000 + seed}",
                 )
-                found = run(SCENARIO, Path(out), Options(overrides=overrides, seed=seed)).result[
+                found = run(SCENARIO, Path(out), RunOptions(overrides=overrides, seed=seed)).result[
                     "validation"
                 ]
                 values = [found[f"{name}mse_percent"] for name in ("", "coulomb_", "floor_")]

@@ -1,5 +1,4 @@
-"""What Tab completes: names of laws, methods, effects and scenarios, read from file names and
-texts.
+"""What Tab completes: names of laws, methods, effects and scenarios, from file names and texts.
 
 Nothing of a catalogue is imported: its imports take longer than a user waits for Tab, and a broken
 plug-in would print there.

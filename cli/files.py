@@ -28,9 +28,7 @@ class DataCommand(TyperCommand):
 
 
 def one_option_each(args: Sequence[str]) -> list[str]:
-    """Return arguments in which each measured file that follows `--data` has that option before
-    it.
-    """
+    """Return arguments in which each file that follows `--data` has that option before it."""
     found: list[str] = []
     listing = False
     for before, arg in zip(["", *args], args, strict=False):

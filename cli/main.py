@@ -24,7 +24,7 @@ def main() -> None:
     import logging
     import warnings
 
-    import bristle.cli.commands  # noqa: F401  # the application then has them
+    import bristle.cli.commands  # noqa: F401 - imported so that the application has them
     from bristle.cli.app import ERROR, FAIL, PASS, app
     from bristle.cli.terminal import (
         Interrupted,

@@ -59,8 +59,7 @@ SCAFFOLDS = {
 
 
 def write_scenario(name: str, out: Path, schema: Mapping[str, object]) -> list[Path]:
-    """Write a commented scenario file, and beside it the schema that it names, unless that is
-    there.
+    """Write a commented scenario file, and beside it the schema it names, unless that is there.
 
     Raises
     ------

@@ -1,6 +1,4 @@
-"""What all commands say on the terminal: errors in one line, progress; and how they are
-interrupted.
-"""
+"""What all commands say on the terminal: errors in one line, progress, interrupts."""
 
 from __future__ import annotations
 

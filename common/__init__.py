@@ -1,5 +1,3 @@
-"""Used by all packages: errors, units, tables of files, TOML, output folders, HTML, drawing,
-cache.
-"""
+"""For all packages: errors, units, tables of files, TOML, output folders, HTML, drawing, cache."""
 
 __all__: list[str] = []

@@ -69,8 +69,7 @@ def digest(*parts: str | bytes) -> str:
 
 
 def cached(name: str, make: Callable[[Path], None]) -> Path:
-    """Return the cached file `name`, made by `make(path)` if it is missing, or damaged since it was
-    made.
+    """Return the cached file `name`, made by `make(path)` if it is missing or damaged.
 
     Other processes see a complete file or none; of those that miss the same file at once, one makes
     it and the others wait. A file is compared with its hash when this process uses it first: a

@@ -72,17 +72,13 @@ def read_delimited(path: Path) -> Columns:
 
 
 def read_rows(path: Path, rows: Rows) -> Columns:
-    """Return the columns of a table whose fields are separated already, as those of a
-    spreadsheet.
-    """
+    """Return the columns of a table whose fields are separated already, as in a spreadsheet."""
     must_fit(path, 0, max(map(len, rows), default=0))
     return _columns(path, rows, _heading(path, rows[:SNIFFED_LINES], ",", []))
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file, in UTF-8, in UTF-16, or in the 8-bit code of Western
-    spreadsheets.
-    """
+    """Return the text of a file, in UTF-8, in UTF-16, or in the code of Western spreadsheets."""
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16")
@@ -136,9 +132,7 @@ def _blank(text: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator that makes most fields of the last lines numbers, in more than one
-    column.
-    """
+    """Return the separator that makes most fields of the last lines numbers, in several columns."""
     filled = [line for line in lines if line.strip()]
     best, most = ",", 0.0
     for mark in SEPARATORS:
@@ -166,47 +160,69 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
     """Find the names of the columns, the row of units below them, if any, and the first row of
     numbers.
     """
-    filled = [k for k, row in enumerate(rows) if any(field.strip() for field in row)]
+    filled = _filled(rows, 0)
     below = [rows[k] for k in filled[len(filled) // 2 :]]
     width = _width(below)
-    usable = [
-        [_usable(row[j]) for row in below if len(row) == width and not _blank(row[j])]
-        for j in range(width)
-    ]
-    numeric = [j for j, found in enumerate(usable) if found and 2 * sum(found) >= len(found)]
-    first = next((k for k in filled if numeric and _is_data(rows[k], width, numeric)), None)
+    numeric = _numeric(below, width)
+    first = next((k for k in filled if _is_data(rows[k], width, numeric)), None)
     if first is None:
         raise BristleError(
             f"record {path}: no data below the line of column names; write numbers there"
         )
     above = [k for k in filled if k < first]
-    header, units = _fields(rows, above[-1], mark, lines, width) if above else [], []
-    if len(header) < min(width, 2) or (
-        len(header) != width and rows[above[-1]][0].startswith(tuple(REMARK))
-    ):
-        header = [""] * width  # at most a title
-    if len(above) > 1 and _is_units(header):
-        named = _fields(rows, above[-2], mark, lines, width)
-        if len(named) >= len(header) and not _is_units(named):
-            header, units = named, header
-    # a separator at the end of each line
+    header, units = _header(rows, above, mark, lines, width) if above else ([""] * width, [])
+    # a separator at the end of each line makes a column without a name
     spare = all(not row[-1].strip() for row in below if len(row) == width)
     if above and not spare and len(rows[above[-1]]) == width:  # the last columns have no name
-        header = [*header, *[""] * (width - len(header))]
-    if len(header) != width and not (len(header) == width - 1 and spare):
-        line = first + 1
+        header += [""] * (width - len(header))
+    if len(header) not in ((width, width - 1) if spare else (width,)):
         raise BristleError(
-            f"record {path}: line {line} has {width} values, the header {len(header)}; correct that"
-            " line"
+            f"record {path}: line {first + 1} has {width} values, the header {len(header)}; correct"
+            " that line"
         )
+    names = _names(path, header)
+    return _Heading(names, dict(filter(all, zip(names, units, strict=False))), first)
+
+
+def _filled(rows: Rows, first: int) -> list[int]:
+    """Return the places of the rows, from the first on, that are not blank."""
+    return [k for k in range(first, len(rows)) if any(map(str.strip, rows[k]))]
+
+
+def _names(path: Path, header: Sequence[str]) -> list[str]:
+    """Return the names of all columns, of which none is there twice."""
     names = [name or f"column {k}" for k, name in enumerate(header, start=1)]
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise BristleError(
             f"record {path}: column '{twice[0]}' is there twice; give each column its own name"
         )
-    return _Heading(
-        names, {name: unit for name, unit in zip(names, units, strict=False) if unit}, first
-    )
+    return names
+
+
+def _numeric(below: Rows, width: int) -> list[int]:
+    """Return the columns of which at least half the fields that are filled are usable."""
+    found = []
+    for j in range(width):
+        fields = [row[j] for row in below if len(row) == width and not _blank(row[j])]
+        if fields and 2 * sum(map(_usable, fields)) >= len(fields):
+            found.append(j)
+    return found
+
+
+def _header(
+    rows: Rows, above: Sequence[int], mark: str, lines: Sequence[str], width: int
+) -> tuple[list[str], list[str]]:
+    """Return (names, units) of the rows above the numbers; no names for what is at most a title."""
+    last = above[-1]
+    header = _fields(rows, last, mark, lines, width)
+    remark = rows[last][0].startswith(tuple(REMARK))
+    if len(header) < min(width, 2) or (len(header) != width and remark):
+        return [""] * width, []
+    if len(above) > 1 and _is_units(header):
+        named = _fields(rows, above[-2], mark, lines, width)
+        if len(named) >= len(header) and not _is_units(named):
+            return named, header
+    return header, []
 
 
 def _is_data(row: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
@@ -264,16 +280,34 @@ def _fast(lines: list[str], mark: str, comma: bool) -> Array:
 
 def _columns(path: Path, rows: Rows, heading: _Heading) -> Columns:
     """Read field by field: slower, but fields may be blank, and what holds no numbers is named."""
+    places, found, findings = _complete(path, rows, heading)
+    columns, unusable, clocks = {}, {}, []
+    for j, name in enumerate(heading.names):
+        fields = [row[j] for row in found]
+        values = _numbers(fields)
+        if values is None:
+            values = seconds(["" if _blank(field) else field for field in fields])
+            if values is not None:
+                clocks.append(name)
+        if values is None:
+            unusable[name] = _text_among(fields, places)
+        else:
+            columns[name] = values
+    return Columns(columns, unusable, units=heading.units, clocks=clocks, findings=findings)
+
+
+def _complete(
+    path: Path, rows: Rows, heading: _Heading
+) -> tuple[list[int], list[Sequence[str]], list[str]]:
+    """Return (places, rows) of the data, and findings; a last line that breaks off is left out."""
     width, found, findings = len(heading.names), [], []
-    numbers = [
-        k for k in range(heading.first, len(rows)) if any(field.strip() for field in rows[k])
-    ]
-    for k in numbers:
+    filled = _filled(rows, heading.first)
+    for k in filled:
         row = rows[k]
         surplus = len(row) - width
         if surplus > 0 and all(_blank(field) for field in row[width:]):
             row = row[:width]
-        elif surplus < 0 and k == numbers[-1] and k > heading.first:
+        elif surplus < 0 and k == filled[-1] and k > heading.first:
             findings.append(f"the last line has {len(row)} of {width} values; left out")
             break
         elif surplus:
@@ -282,26 +316,14 @@ def _columns(path: Path, rows: Rows, heading: _Heading) -> Columns:
                 " that line"
             )
         found.append(row)
-    columns, unusable, clocks = {}, {}, []
-    for j, name in enumerate(heading.names):
-        fields = [row[j] for row in found]
-        values = _numbers(fields)
-        if (
-            values is None
-            and (values := seconds(["" if _blank(field) else field for field in fields]))
-            is not None
-        ):
-            clocks.append(name)
-        if values is None:
-            bad = next(
-                (k for k, field in enumerate(fields) if not _blank(field) and not _usable(field)), 0
-            )
-            unusable[name] = (
-                f"text ('{fields[bad].strip()[:SHOWN_FIELD]}' in line {numbers[bad] + 1})"
-            )
-        else:
-            columns[name] = values
-    return Columns(columns, unusable, units=heading.units, clocks=clocks, findings=findings)
+    return filled, found, findings
+
+
+def _text_among(fields: Sequence[str], places: Sequence[int]) -> str:
+    """Say which field is no number, and in which line it is."""
+    texts = (k for k, field in enumerate(fields) if not _blank(field) and not _usable(field))
+    bad = next(texts, 0)
+    return f"text ('{fields[bad].strip()[:SHOWN_FIELD]}' in line {places[bad] + 1})"
 
 
 def _numbers(fields: Sequence[str]) -> Array | None:

@@ -1,6 +1,4 @@
-"""Style of all figures: colours, sizes, labels at fixed places, and SVG text that is
-reproducible.
-"""
+"""Style of all figures: colours, sizes, labels at fixed places, and reproducible SVG text."""
 
 from __future__ import annotations
 
@@ -120,9 +118,7 @@ def _shortened(path: re.Match[str]) -> str:
 
 
 def _place_labels(figure: Any) -> None:
-    """Put the names of y axes beside their tick labels, in one line for axes that begin at one
-    place.
-    """
+    """Put the names of y axes beside their tick labels, in line for axes that begin alike."""
     named = [ax for ax in figure.axes if ax.get_ylabel()]
     columns: dict[float, float] = {}
     for ax in named:

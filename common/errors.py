@@ -8,16 +8,17 @@
     │       ├── RestartError       an FMU cannot be started again from given states
     │       ├── IncompleteError    one of several outputs could not be made; the others were written
     │       ├── NotStaticError     the inverse dynamics need states that are not measured
-    │       ├── ScenarioError      bristle.harness.suite.pytest_plugin: a scenario that pytest runs did not pass
-    │       ├── NotApplicable      bristle.fmus.conformance.running: a point asks for what the FMU does not claim to do
-    │       ├── CallFailed         bristle.fmus.conformance.instance: a call that the standard allows was not done
-    │       └── Ended              bristle.fmus.conformance.instance: an FMU asks to end the simulation, as it may
+    │       ├── CasesError         of harness: cases of a suite cannot be run, so none is
+    │       ├── ScenarioError      of harness: a scenario that pytest runs did not pass
+    │       ├── NotApplicable      of fmus: a point asks for what the FMU does not claim to do
+    │       ├── CallFailed         of fmus: a call that the standard allows was not done
+    │       └── Ended              of fmus: an FMU asks to end the simulation, as it may
     └── RuntimeError
         ├── CoreError              bristle.model.runtime
         └── RefusedError           bristle.fmus.slave
     BaseException
     ├── Interrupted                bristle.cli.terminal: Ctrl-C or SIGTERM
-    └── OutOfTime                  bristle.common.deadline: work under a time budget is left where it is
+    └── OutOfTime                  bristle.common.deadline: work under a time budget is left
 
 `except BristleError` catches whatever the library reports. CoreError and RefusedError are raised
 inside an FMU, where the library is not installed: their modules are copied into it, and the
@@ -47,8 +48,7 @@ class BristleError(ValueError):
 
 
 class SimulationError(BristleError, ArithmeticError):
-    """A simulation that cannot go on: a state left the finite numbers or the internal-step cap was
-    hit.
+    """A simulation that cannot go on: a state is not finite, or the cap of steps was hit.
 
     Attributes
     ----------

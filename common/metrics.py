@@ -11,9 +11,7 @@ Array = NDArray[np.float64]
 
 
 def rms(error: Array) -> float:
-    """Return the root of the mean square of an error (n,); NaN if it is empty or a value is not
-    finite.
-    """
+    """Return the root of the mean square of an error (n,); NaN if it is empty or not finite."""
     return (
         float(np.sqrt(np.mean(np.square(error))))
         if len(error) and np.isfinite(error).all()

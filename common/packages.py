@@ -42,8 +42,7 @@ def packages_of(kind: str, name: str) -> str:
 
 
 def load_offered(kind: str, name: str) -> tuple[object, str]:
-    """Return what the entry point `name` stands for, and its file as errors name it, with the
-    package.
+    """Return what the entry point `name` stands for, and its file as errors name it.
 
     Raises
     ------

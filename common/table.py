@@ -28,8 +28,7 @@ SHOWN_LETTERS, SHOWN_NAMES = 40, 20
 
 
 def read_columns(path: Path) -> Columns:
-    """Return all numeric columns of a file by name, each of shape (n,); an empty field of a CSV is
-    NaN.
+    """Return all numeric columns of a file by name, of shape (n,); an empty field of a CSV is NaN.
 
     Raises
     ------

@@ -83,9 +83,7 @@ def _shown(value: object) -> str:
 
 
 def mistake(path: Path | str, key: str, value: object, message: str) -> BristleError:
-    """Return the one-line error for a key of a file; value None stands for a key that is not
-    there.
-    """
+    """Return the one-line error for a key of a file; None stands for a key that is not there."""
     where = (
         f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
     )
@@ -140,6 +138,13 @@ def _missing_keys(path: Path | str, found: Sequence[ErrorDetails]) -> BristleErr
     )
 
 
+def _unknown_key(schema: type[BaseModel], location: Sequence[int | str]) -> str:
+    """Say that a key is unknown, and which are known there."""
+    section = _section_at(schema, location[:-1])
+    known = list(section.model_fields) if section else []
+    return f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}"
+
+
 def first_mistake(
     path: Path | str, schema: type[BaseModel], error: ValidationError
 ) -> BristleError:
@@ -147,31 +152,17 @@ def first_mistake(
     found = error.errors()
     # of an unknown and a missing key the unknown one is shown: it is usually a misspelt one
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-    kind, location, value = (
-        first["type"],
-        [p for p in first["loc"] if not str(p).startswith("function-")],
-        first["input"],
-    )
-    key, context = _dotted(location), first.get("ctx", {})
+    kind, value, context = first["type"], first["input"], first.get("ctx", {})
+    location = [p for p in first["loc"] if not str(p).startswith("function-")]
+    key = _dotted(location)
     # pydantic tells for each type it could be
     if isinstance(value, (dict, list)) and location and location[-1] in SCALARS:
-        return mistake(
-            path,
-            _dotted(location[:-1]),
-            value,
-            "must be one value, not a table or a list; change the value",
-        )
+        said = "must be one value, not a table or a list; change the value"
+        return mistake(path, _dotted(location[:-1]), value, said)
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     if kind == "extra_forbidden":
-        section = _section_at(schema, location[:-1])
-        known = list(section.model_fields) if section else []
-        return mistake(
-            path,
-            key,
-            value,
-            f"unknown key{suggest(str(location[-1]), known)}; allowed here:"
-            f" {', '.join(known)}{more}",
-        )
+        said = _unknown_key(schema, location)
+        return mistake(path, key, value, f"{said}{more}")
     if kind == "missing":
         return _missing_keys(path, found)
     if kind == "value_error":

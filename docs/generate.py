@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # the modules beside this file
@@ -40,7 +40,7 @@ DECLARED = {
     "observers": (observer, "METHOD"),
 }
 Catalogue = Mapping[str, Collection[str]]  # names by kind: laws, effects, observers
-SOURCE = re.compile(r"Source: (.+?)(?:\n\s*\n|\Z)", re.DOTALL)
+SOURCE = re.compile(r"Source:\s+(.+?)(?:\n\s*\n|\Z)", re.DOTALL)
 
 
 def catalogue() -> Catalogue:
@@ -192,8 +192,8 @@ def traceability_page(shown: Catalogue | None = None) -> str:
     return "\n".join([*head, "| file | function | source |", "|---|---|---|", *rows, ""])
 
 
-UNITS_NOTE = """text with a unit, such as `"0.001 kg.m2"` or `"20 s"`: a number and a product of units, with a dot between
-factors, powers as in `m2` and at most one slash."""
+UNITS_NOTE = """text with a unit, such as `"0.001 kg.m2"` or `"20 s"`: a number and a product of
+units, with a dot between factors, powers as in `m2` and at most one slash."""
 
 SCENARIO_HEAD = f"""# Scenario reference
 
@@ -203,9 +203,9 @@ range is refused with one line that names file, key, value and what is allowed.
 
 A *value* is {UNITS_NOTE} Only what has no dimension may be a bare number.
 
-Any value can be replaced for one run: `bristle run FILE --set "plant.parameters.J=0.002 kg.m2"`. The parameters of plant
-and observers
-are in [parameters.md](parameters.md); those of the controller in [Controller](../fmus/controller/README.md).
+Any value can be replaced for one run: `bristle run FILE --set "plant.parameters.J=0.002 kg.m2"`.
+The parameters of plant and observers are in [parameters.md](parameters.md); those of the controller
+in [Controller](../fmus/controller/README.md).
 """
 
 CHECKS_HEAD = """
@@ -217,6 +217,14 @@ estimates; STATE is an estimated state, BASELINE `linear`, `coulomb` or `floor`.
 not exist fails every limit.
 
 | quantity | unit | meaning |
+|---|---|---|"""
+
+STIMULI_HEAD = """## Stimuli
+
+Inputs that `[[stimuli]]` may change. `u` takes the place of the controller, `u_ff` is added to its
+voltage.
+
+| variable | of the | unit |
 |---|---|---|"""
 
 BUS_HEAD = """
@@ -247,47 +255,37 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         [n for n in known if n in names[k]]
         for k, known in (("laws", laws()), ("observers", methods()))
     )
-    inputs = {
-        name: (unit, ports.inputs[name]) for unit, ports in PORTS.items() for name in ports.free
-    }
-    offered_effects = [
-        *(name for name in effects(packages=False) if name in names["effects"]),
-        *SIGNAL_EFFECTS,
-    ]
+    inputs = {n: (part, each.inputs[n]) for part, each in PORTS.items() for n in each.free}
+    offered_effects = [name for name in effects(packages=False) if name in names["effects"]]
     choices = {
         ("Plant", "law"): offered_laws,
-        ("Plant", "effects"): offered_effects,
+        ("Plant", "effects"): [*offered_effects, *SIGNAL_EFFECTS],
         ("Observer", "method"): offered_methods,
         ("Stimulus", "variable"): list(inputs),
     }
-    text = [SCENARIO_HEAD, *key_tables(Scenario, choices), "## Stimuli", ""]
-    text += [
-        (
-            "Inputs that `[[stimuli]]` may change. `u` takes the place of the controller, `u_ff` is"
-            " added to its voltage."
-        ),
-        "",
-    ]
-    text += ["| variable | of the | unit |", "|---|---|---|"]
-    text += [
-        *(f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()),
-        CHECKS_HEAD,
-    ]
-    text += [
-        f"| `{path}` | {unit} | {meaning} |" for path, (unit, meaning) in CHECK_QUANTITIES.items()
-    ]
-    text += ["", "| PARAMETER | unit | meaning |", "|---|---|---|"]
-    text += [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in OBSERVED.items()]
-    text += ["", "| STATE | unit | meaning |", "|---|---|---|"]
-    text += [f"| `{name}` | {SIGNALS[name][0]} | {SIGNALS[name][1]} |" for name in STATES]
-    text += [BUS_HEAD]
-    text += [
-        f"| `{name}` | {part} | {'input' if name in ports.inputs else 'output'} | {unit} |"
-        f" {'yes' if name in ports.needed else ''} |".replace("  |", " |")
-        for part, ports in PORTS.items()
-        for name, unit in ports.units.items()
-    ]
-    return "\n".join([*text, ""])
+    text = [SCENARIO_HEAD, *key_tables(Scenario, choices), STIMULI_HEAD]
+    text += [f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()]
+    text += [CHECKS_HEAD, *_rows(CHECK_QUANTITIES)]
+    text += ["", "| PARAMETER | unit | meaning |", "|---|---|---|", *_rows(OBSERVED)]
+    states = {name: SIGNALS[name] for name in STATES}
+    text += ["", "| STATE | unit | meaning |", "|---|---|---|", *_rows(states)]
+    return "\n".join([*text, BUS_HEAD, *_bus_rows(), ""])
+
+
+def _rows(meanings: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the rows of a table of names, units and meanings."""
+    return [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in meanings.items()]
+
+
+def _bus_rows() -> list[str]:
+    """Return the rows of the table of what the FMUs exchange."""
+    rows = []
+    for part, ports in PORTS.items():
+        for name, unit in ports.units.items():
+            side = "input" if name in ports.inputs else "output"
+            needed = "yes" if name in ports.needed else ""
+            rows.append(f"| `{name}` | {part} | {side} | {unit} | {needed} |".replace("  |", " |"))
+    return rows
 
 
 def model_page(shown: Catalogue | None = None) -> str:
@@ -304,9 +302,11 @@ Right: the torque that the model without the effect cannot account for, J a + a2
 along the measured motion, over the quantity that the effect depends on. On measured data noise
 covers this torque, which is why `bristle diagnose` compares simulations instead.
 
-*Needs* is the excitation without which records do not show the effect. *Confounded with* are the effects that look alike where the
-excitation is poor; effects of one [class](glossary.md#class-of-effects) cannot be distinguished by position or velocity at all. The
-pictures are drawn by `python docs/gallery.py`, this page is generated by `python docs/generate.py`; both read `plant/effects`.
+*Needs* is the excitation without which records do not show the effect. *Confounded with* are the
+effects that look alike where the excitation is poor; effects of one
+[class](glossary.md#class-of-effects) cannot be distinguished by position or velocity at all. The
+pictures are drawn by `python docs/gallery.py`, this page is generated by `python docs/generate.py`;
+both read `plant/effects`.
 """
 
 
@@ -381,10 +381,11 @@ What it does not cover: Scheduled Execution and clocks, arrays as states, interm
 return, configuration mode. Where a difference quotient is not the same to both sides, a derivative
 is not judged. That no point fails does not prove that an FMU is right.
 
-The tests have good FMUs of FMI 2 and 3 without findings, and for each point at least one defect that it has to find; which
-points find which defects, and how long it takes, is in
-[benchmarks/results/check_mutants.md](../benchmarks/results/check_mutants.md). What it finds in FMUs of others, and why that is
-true: [benchmarks/results/check_foreign.md](../benchmarks/results/check_foreign.md).
+The tests have good FMUs of FMI 2 and 3 without findings, and for each point at least one defect
+that it has to find; which points find which defects, and how long it takes, is in
+[benchmarks/results/check_mutants.md](../benchmarks/results/check_mutants.md). What it finds in FMUs
+of others, and why that is true:
+[benchmarks/results/check_foreign.md](../benchmarks/results/check_foreign.md).
 """
 CHECK_TITLES = {
     "archive": "Archive",

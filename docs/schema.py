@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, Union, get_args, get_origin
@@ -26,7 +27,7 @@ def key_tables(
     table inside.
     """
     yield from (
-        (f"{'#' * level} `{path}`", "", (section.__doc__ or "").strip(), "")
+        (f"{'#' * level} `{path}`", "", inspect.getdoc(section) or "", "")
         if path
         else (f"{'#' * level} Top level", "")
     )

@@ -1,6 +1,4 @@
-"""Variables of an FMU under other names and in other units, as scenario and model files give
-them.
-"""
+"""Variables of an FMU under other names and in other units, as files give them."""
 
 from __future__ import annotations
 

@@ -49,14 +49,11 @@ def _check(
     what: str,
     fmi: int,
     kind: str,
-    law: str | None,
-    method: str | None,
+    chosen: Mapping[str, str | None],
     effects: Sequence[str],
     platforms: str = "host",
 ) -> str | None:
-    """Return the variant asked for, or None for all; raise `BristleError` for what cannot be
-    built.
-    """
+    """Return the variant asked for, or None for all; raise `BristleError` if it cannot be built."""
     if what not in FMU_NAMES:
         raise BristleError(f"unknown FMU '{what}'; known: {', '.join(FMU_NAMES)}")
     if kind not in ("native", "python"):
@@ -70,14 +67,14 @@ def _check(
         raise BristleError(
             f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}"
         )
-    for name, value in (("law", law), ("method", method)):
+    for name, value in chosen.items():
         if value is not None and VARIANT_OPTION.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
     if isinstance(effects, str):
         raise BristleError(f"effects is the text '{effects}'; give a list of names: ['{effects}']")
     if effects and what != "plant":
         raise BristleError(f"the {what} has no effects to add ('{effects[0]}'); leave them out")
-    return law if what == "plant" else method
+    return chosen["law" if what == "plant" else "method"]
 
 
 def program_of(
@@ -99,9 +96,7 @@ def program_of(
 def program_files(
     program: Program, fmi: int = 2, kind: str = "native", platforms: str = "host"
 ) -> dict[str, bytes]:
-    """Return the content of an FMU, file name -> bytes; `fmi`, `kind` and `platforms` as of
-    `build`.
-    """
+    """Return an FMU as file name -> bytes; `fmi`, `kind` and `platforms` as of `build`."""
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
@@ -166,18 +161,15 @@ def build(
     from bristle.fmus.pack import write_archive
     from bristle.fmus.related import related_files
 
-    program = program_of(
-        what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder
-    ).preset(parameters or {})
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects, platforms)
+    program = program_of(what, variant, effects, encoder).preset(parameters or {})
     declared = program if units is None else program.in_units(units)
     content = program_files(declared, fmi, kind, platforms)
     return write_archive(Path(out), {**content, **(related or related_files)(content)})
 
 
 def _sources(package: str) -> list[str | bytes]:
-    """Return names and contents of the files of a package, without importing it (that would be
-    slow).
-    """
+    """Return names and contents of the files of a package, without the slow import."""
     spec = find_spec(package)
     assert spec is not None
     folder = Path(next(iter(spec.submodule_search_locations or ())))
@@ -292,32 +284,24 @@ def obtain(
     BristleError
         As of `build`.
     """
-    variant = _check(what, fmi, kind, law, method, effects)
-    parts = [("effects", effect) for effect in sorted(effects)] + (
-        [(VARIANT_KIND[what], variant)] if variant else []
-    )
-    key = _key(
-        [code for part in parts for code in code_offered(*part)],
-        kind,
-        what,
-        fmi,
-        variant,
-        encoder,
-        *sorted(effects),
-        *sorted((parameters or {}).items()),
-    )
-    name = "-".join(
-        [what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]]
-    )
+    variant = _check(what, fmi, kind, {"law": law, "method": method}, effects)
+    parts = [("effects", effect) for effect in sorted(effects)]
+    if variant:
+        parts.append((VARIANT_KIND[what], variant))
+    code = [text for part in parts for text in code_offered(*part)]
+    values = sorted((parameters or {}).items())
+    key = _key(code, kind, what, fmi, variant, encoder, *sorted(effects), *values)
+    which = [what, *([variant] if variant else []), *sorted(effects)]
+    name = "-".join([*which, f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
         from bristle.fmus.pack import write_archive
 
         program = program_of(what, variant, effects, encoder).preset(parameters or {})
         if kind == "native":
-            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
             message = "compiling an FMU (%s) once, about %.0f s; later runs take it from the cache"
-            logging.getLogger("bristle").info(message, which, compile_seconds(program))
+            seconds = compile_seconds(program)
+            logging.getLogger("bristle").info(message, ", ".join(which), seconds)
         write_archive(out, program_files(program, fmi, kind))
 
     return cached(f"{name}.fmu", make)

@@ -44,9 +44,7 @@ def _select(interface: Interface, names: set[str]) -> list[Exposed]:
 
 
 def structural(interface: Interface) -> dict[str, list[Exposed]]:
-    """Return the inputs and shown states that each output and derivative depends on at one
-    instant.
-    """
+    """Return the inputs and shown states that outputs and derivatives depend on at one instant."""
     # own name -> public name
     shown = {state.name.partition(".")[2]: state.name for _, state in interface.rates}
     result: dict[str, set[str]] = {

@@ -88,9 +88,7 @@ def _limit(value: float | None, exposed: Exposed) -> float | int | None:
 
 
 def _display_unit(exposed: Exposed) -> str | None:
-    """Return what an angle, a speed or a sample time is shown in; simulated time stays in
-    seconds.
-    """
+    """Return what an angle, a speed or a sample time is shown in; simulated time stays in s."""
     unit = exposed.slot.variable.unit
     if exposed.type != "Real" or (unit == "s" and exposed.name != SAMPLE_TIME.name):
         return None

@@ -74,8 +74,7 @@ class Difference:
 
 
 def fmu_differences(first: Fmu, second: Fmu) -> list[Difference]:
-    """Return what differs between two FMUs, the most serious first: interface, start values,
-    behaviour.
+    """Return what differs between two FMUs, the most serious first: interface, starts, behaviour.
 
     Parameters
     ----------

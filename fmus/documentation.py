@@ -43,9 +43,7 @@ def _table(rows: Sequence[Sequence[str]], columns: Sequence[str] = PAGE_COLUMNS)
 
 
 def _step_sizes(interface: Interface) -> str:
-    """Return what a host has to know of communication steps, with the measured errors of the
-    plant.
-    """
+    """Return what a host has to know of communication steps, with measured errors of the plant."""
     parts, period = ["<h2>Communication steps</h2>"], interface.sample_time
     if period is not None:
         what = "What is sampled, such as an encoder, is" if interface.continuous else "It is"

@@ -172,9 +172,7 @@ class Fmu:
 
     @property
     def risky(self) -> bool:
-        """Whether its library may harm the process that loads it: somebody else's, or
-        pythonfmu's.
-        """
+        """Whether its library may harm the process that loads it: one of others, or pythonfmu's."""
         return self.foreign or self.kind == "python"
 
     def names(self, causality: str) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,8 +63,7 @@ class Exposed:
 
     @property
     def checked(self) -> tuple[float | None, float | None]:
-        """The limits that a call which sets it obeys; those of the index are checked at
-        initialisation.
+        """The limits that a call which sets it obeys; the index's are checked at initialisation.
 
         A host that ignores the status of the call then cannot run the default instead.
         """
@@ -238,9 +237,17 @@ def _jacobian_places(interface: Interface) -> tuple[list[int], list[int]]:
     return row, column
 
 
-def _access(exposed: Exposed | None) -> str:
+def _seen(exposed: Exposed | None) -> tuple[str, ...]:
+    """Return access, limits, nominal value, name and unit of a variable, as C."""
     if exposed is None:
-        return "0"
+        return "0", "-DBL_MAX", "DBL_MAX", "1.0", '""', '""'
+    low, high = exposed.checked
+    numbers = (low, "-DBL_MAX"), (high, "DBL_MAX"), (exposed.nominal, "1.0")
+    texts = exposed.name, exposed.slot.variable.unit
+    return _access(exposed), *(_number(*each) for each in numbers), *(f'"{each}"' for each in texts)
+
+
+def _access(exposed: Exposed) -> str:
     bits = [exposed.type.upper()]
     if exposed.settable:
         bits.append("SET_EARLY")
@@ -251,21 +258,16 @@ def _access(exposed: Exposed | None) -> str:
     return " | ".join(bits)
 
 
-def _quoted(texts: Sequence[str]) -> list[str]:
-    return [f'"{text}"' for text in texts]
-
-
 def c_tables(interface: Interface, fmi: int) -> dict[str, str]:
     """Return interface.h and interface.c."""
+    return {"interface.h": _header(interface), "interface.c": _tables(interface, fmi)}
+
+
+def _header(interface: Interface) -> str:
     program = interface.program
-    shown = {
-        x.reference: x for x in interface.variables if fmi == 3 or x.causality != "independent"
-    }
-    each = [shown.get(slot.index) for slot in program.slots]
     known = sum(1 for place in _jacobian_places(interface)[1] if place >= 0)
-    row, column = _jacobian_places(interface)
     salt = program.token.strip("{}").replace("-", "")[:16]
-    header = f"""/* What the host sees of {program.name} (generated) */
+    return f"""/* What the host sees of {program.name} (generated) */
 #ifndef BRISTLE_INTERFACE_H
 #define BRISTLE_INTERFACE_H
 
@@ -287,24 +289,32 @@ extern const int MOVING[N_VARIANTS][2];   /* first and number of the places in v
 
 #endif
 """
+
+
+def _tables(interface: Interface, fmi: int) -> str:
+    program = interface.program
+    by_place = {x.reference: x for x in interface.variables}
+    if fmi == 2:
+        by_place = {k: x for k, x in by_place.items() if x.causality != "independent"}
+    each = [by_place.get(slot.index) for slot in program.slots]
+    access, low, high, nominal, names, units = zip(*map(_seen, each), strict=True)
+    row, column = _jacobian_places(interface)
+    moving = [f"{{{first}, {number}}}" for first, number in map(_moving, program.variants)]
     body = [
         f"/* What the host sees of {program.name} (generated) */",
         '#include "interface.h"',
         "",
         "#include <float.h>",
         "",
-        _table("unsigned char ACCESS[N_V]", [_access(x) for x in each]),
-        _table("double LOW[N_V]", [_number(x.checked[0] if x else None, "-DBL_MAX") for x in each]),
-        _table("double HIGH[N_V]", [_number(x.checked[1] if x else None, "DBL_MAX") for x in each]),
-        _table("double NOMINAL[N_V]", [_number(x.nominal if x else None, "1.0") for x in each]),
-        _table("char *const NAME[N_V]", _quoted([x.name if x else "" for x in each])),
-        _table("char *const UNIT[N_V]", _quoted([x.slot.variable.unit if x else "" for x in each])),
+        _table("unsigned char ACCESS[N_V]", access),
+        _table("double LOW[N_V]", low),
+        _table("double HIGH[N_V]", high),
+        _table("double NOMINAL[N_V]", nominal),
+        _table("char *const NAME[N_V]", names),
+        _table("char *const UNIT[N_V]", units),
         _table("short ROW[N_V]", row),
         _table("short COLUMN[N_V]", column),
-        _table(
-            "int MOVING[N_VARIANTS][2]",
-            [f"{{{a}, {n}}}" for a, n in map(_moving, program.variants)],
-        ),
+        _table("int MOVING[N_VARIANTS][2]", moving),
         "",
     ]
-    return {"interface.h": header, "interface.c": "\n".join(body)}
+    return "\n".join(body)

@@ -68,8 +68,7 @@ def host() -> Platform:
 
 
 def find_platforms(text: str) -> tuple[Platform, ...]:
-    """Return the platforms of a text: ``host``, ``all``, or names of FMI 2 or 3 separated by
-    commas.
+    """Return the platforms of a text: ``host``, ``all``, or names of FMI 2 or 3 between commas.
 
     Raises
     ------

@@ -38,9 +38,7 @@ def _tables(interface: Interface) -> str:
 
 
 def _script(interface: Interface, package: str) -> str:
-    """Return the file that pythonfmu looks for; it takes the class that derives from most
-    others.
-    """
+    """Return the file that pythonfmu looks for; it takes the class with most base classes."""
     name, description = interface.program.name, interface.program.description
     return f"""\"\"\"{name}: {description} (generated).\"\"\"
 
@@ -53,7 +51,7 @@ from {package} import slave, tables
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
-class {name}(slave.Slave):
+class {name}(slave.PythonSlave):
     tables = tables
 """
 
@@ -100,7 +98,8 @@ def python_files(program: Program) -> dict[str, bytes]:
     interface = Interface(program, native=False)
     package = _package(interface)
     # FMUs in one process share sys.modules: different contents need different names
-    script = f"bristle_{program.name.lower()}_{digest(*(part for pair in package.items() for part in pair))[:16]}"
+    parts = (part for pair in package.items() for part in pair)
+    script = f"bristle_{program.name.lower()}_{digest(*parts)[:16]}"
     content = common_files(interface, 2) | {"modelDescription.xml": description_2(interface, ())}
     content |= {f"resources/{script}_parts/{name}": text.encode() for name, text in package.items()}
     content[f"resources/{script}.py"] = _script(interface, f"{script}_parts").encode()

@@ -50,6 +50,7 @@ SET_TYPE, EXPERIMENT_TYPE = "application/x-ssp-parameter-set", "application/x-ma
 PARAMETERS, SUMS = "parameters.ssv", "checksums.sha256"
 OWN_ANNOTATION = "bristle"  # type of the annotation that says how close the reference is met
 REFERENCE_DIGITS = 12
+Related = tuple[str, str, str, str]  # of a file: name, type, role, description
 
 
 @dataclass(frozen=True)
@@ -105,42 +106,26 @@ def related_files(
         path.write_bytes(archive_bytes(content))
         fmu = Fmu(path)
         tried = [] if (found := _smoke_test(fmu, step, stimuli)) is None else [found]
-    values = _start_values(fmu)
-    files = {PARAMETERS: parameter_set("start values", values)} if values else {}
-    related = (
-        [(PARAMETERS, SET_TYPE, "parameter", "start values of all parameters")] if values else []
-    )
+    files: dict[str, bytes] = {}
+    related: list[Related] = []
+
+    def add(entry: Related, data: bytes) -> None:
+        files[entry[0]] = data
+        related.append(entry)
+
+    if values := _start_values(fmu):
+        what = "start values of all parameters"
+        add((PARAMETERS, SET_TYPE, "parameter", what), parameter_set("start values", values))
     for each in (*tried, *experiments):
         files |= _experiment_files(each)
-        related.append(
-            (f"{each.purpose}.exp", EXPERIMENT_TYPE, f"experiment/{each.purpose}", each.description)
-        )
-        related.append(
-            (
-                f"{each.purpose}-reference.csv",
-                "text/csv",
-                "result",
-                f"outputs of {each.purpose}.exp",
-            )
-        )
+        name, reference = f"{each.purpose}.exp", f"{each.purpose}-reference.csv"
+        related.append((name, EXPERIMENT_TYPE, f"experiment/{each.purpose}", each.description))
+        related.append((reference, "text/csv", "result", f"outputs of {name}"))
     for name, data in (report or {}).items():
-        files[name] = data
-        related.append(
-            (
-                name,
-                "application/json" if name.endswith(".json") else "text/html",
-                "report",
-                "how it was made",
-            )
-        )
-    related.append(
-        (
-            SUMS,
-            "text/plain",
-            "signature",
-            "SHA-256 of the other files; finds damage, proves no origin",
-        )
-    )
+        kind = "application/json" if name.endswith(".json") else "text/html"
+        add((name, kind, "report", "how it was made"), data)
+    what = "SHA-256 of the other files; finds damage, proves no origin"
+    related.append((SUMS, "text/plain", "signature", what))
     page = {"documentation/fmi-ls-ref.html": _page(related).encode()}
     added = (
         page
@@ -221,7 +206,7 @@ def _experiment_document(experiment: Experiment) -> bytes:
     return document(root)
 
 
-def _manifest(related: Sequence[tuple[str, str, str, str]]) -> bytes:
+def _manifest(related: Sequence[Related]) -> bytes:
     ET.register_namespace("fmi-ls", MANIFEST_SPACE)
     root = ET.Element(
         "fmiReferences",
@@ -233,15 +218,13 @@ def _manifest(related: Sequence[tuple[str, str, str, str]]) -> bytes:
 
 
 def _sums(content: Mapping[str, bytes]) -> bytes:
-    """Return the checksums of all files, as `sha256sum --check` reads them from the folder of the
-    FMU.
-    """
+    """Return the checksums of all files, as `sha256sum --check` reads them in its folder."""
     return "".join(
         f"{hashlib.sha256(content[name]).hexdigest()}  {name}\n" for name in sorted(content)
     ).encode()
 
 
-def _page(related: Sequence[tuple[str, str, str, str]]) -> str:
+def _page(related: Sequence[Related]) -> str:
     rows = "".join(
         f"<tr><td><code>{escape(source)}</code></td><td>{escape(role)}</td><td>{escape(text)}</td></tr>\n"
         for source, _, role, text in related

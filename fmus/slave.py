@@ -32,7 +32,7 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(method)
-    def call(self: Slave, *arguments: Any) -> Any:
+    def call(self: PythonSlave, *arguments: Any) -> Any:
         try:
             return method(self, *arguments)
         except Exception:
@@ -43,7 +43,7 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
+class PythonSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """One instance; a subclass names the FMU and gives the generated tables."""
 
     tables: Any = None  # START, CHOICE, VARIANTS, TOKEN, VARIABLES

@@ -117,9 +117,7 @@ def _supervise(worker: int) -> NoReturn:
 
 
 def _ended(worker: int) -> int | None:
-    """Return the status of the worker once it has ended, or None if the parent process ends
-    first.
-    """
+    """Return the status of the worker once it has ended, or None if the parent ends first."""
     waiting: list[int] = [0]
     with contextlib.suppress(AttributeError, OSError):
         waiting.append(os.pidfd_open(worker))
@@ -133,9 +131,7 @@ def _ended(worker: int) -> int | None:
 
 
 def _end_the_rest() -> None:
-    """End all processes that the worker has left behind; orphans have become children of this
-    one.
-    """
+    """End all processes that the worker has left behind; orphans are children of this one now."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         try:

@@ -41,16 +41,12 @@ class Branch:
 def arranged(
     lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()
 ) -> list[Line | Branch]:
-    """Return the lines in an order that respects their needs, in branches where that saves
-    operations.
+    """Return the lines in an order that respects their needs, with branches that save operations.
 
     `wanted` are needed in any case; conditions that are `inside` hold already.
     """
     guards = _guards(lines, wanted, inside)
-    users: dict[str, set[str]] = defaultdict(set)
-    for line in lines:
-        for need in line.needs:
-            users[need].add(line.name)
+    users = _users(lines)
     known = {line.name for line in lines}
     done, left = {need for line in lines for need in line.needs} - known, list(lines)
     out: list[Line | Branch] = []
@@ -60,21 +56,23 @@ def arranged(
             out += plain
         else:
             condition, members = _next_branch(left, done, guards)
-            names = {line.name for line in members}
-            shown = [
-                name
-                for name in (line.name for line in members)
-                if name in wanted or not users[name] <= names
-            ]
-            out.append(
-                Branch(
-                    condition, tuple(arranged(members, shown, inside | {condition})), tuple(shown)
-                )
-            )
+            names = [line.name for line in members]
+            shown = [name for name in names if name in wanted or not users[name].issubset(names)]
+            within = arranged(members, shown, inside | {condition})
+            out.append(Branch(condition, tuple(within), tuple(shown)))
             plain = members
         done |= {line.name for line in plain}
         left = [line for line in left if line.name not in done]
     return out
+
+
+def _users(lines: Sequence[Line]) -> dict[str, set[str]]:
+    """Return the names of the lines that need each name."""
+    users: dict[str, set[str]] = defaultdict(set)
+    for line in lines:
+        for need in line.needs:
+            users[need].add(line.name)
+    return users
 
 
 def _guards(

@@ -39,6 +39,9 @@ FLAGS = (
     "-Wno-array-bounds",
 )
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
+# environment variable: flags behind these for this machine's own libraries; -O1 compiles in half
+# the time and gives the same digits
+FLAGS_VARIABLE = "BRISTLE_CFLAGS"
 TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
 ENDING_INTERVAL = 0.01  # s, in which compilers that an interrupt must end are looked for
 # Shell: become the command, beside a process that ends the group of both when the standard input
@@ -131,7 +134,11 @@ def _forget() -> None:
 
 
 def _toolchain(triple: str) -> Toolchain:
-    return _toolchains[-1] if _toolchains and not triple else Toolchain()
+    """Return what this machine's libraries are compiled with: nothing else for those of others."""
+    if triple:
+        return Toolchain()
+    given = tuple(shlex.split(os.environ.get(FLAGS_VARIABLE, "")))
+    return _toolchains[-1] if _toolchains else Toolchain(flags=given)
 
 
 @lru_cache

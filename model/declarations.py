@@ -80,10 +80,11 @@ def checked_declarations(
     found = list(found)
     declared = declarations(found, attribute, kind)
     plugins = {each.file for each in found if each.plugin}
-    by_name = {
-        part.name: replace(part, file=file if file in plugins else "")
-        for file, part in declared.items()
-    }  # type: ignore[type-var]  # law, effect or method: each a dataclass
+    by_name = {}
+    for file, part in declared.items():
+        place = file if file in plugins else ""
+        # law, effect or method: each a dataclass
+        by_name[part.name] = replace(part, file=place)  # type: ignore[type-var]
     for file, part in declared.items():
         with _naming(file, attribute):
             _check(part)

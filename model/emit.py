@@ -245,9 +245,7 @@ _WIDE = _Dialect(
 
 
 def emit_c(kernel: Kernel) -> str:
-    """Return the kernel as a static C99 function ``void name(double *v, double h, double
-    *out)``.
-    """
+    """Return the kernel as a C99 function ``void name(double *v, double h, double *out)``."""
     return _emit_c(kernel, _PLAIN)
 
 

@@ -27,9 +27,7 @@ def draw(s: SX) -> SX:
 
 
 def scrambled(seed: SX) -> SX:
-    """Return the start state of the generator, 1 ... MODULUS - 1; neighbouring seeds are far
-    apart.
-    """
+    """Return the start state of the generator, 1 ... MODULUS - 1; near seeds are far apart."""
     mixed = SEED_MULTIPLIER * ca.floor(seed) + SEED_OFFSET
     s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
     for _ in range(WARM_UP):

@@ -148,9 +148,7 @@ class Lanes:
 
 
 def _compiled(program: Program, options: tuple[str, ...]) -> ctypes.CDLL:
-    """Compile a program for the processor of this machine (or take it from the cache) and load
-    it.
-    """
+    """Compile a program for this processor (or take it from the cache) and load it."""
     try:
         return _library(program, Target(options=(OWN_PROCESSOR, *options)))
     except BristleError:  # a compiler that does not know this flag

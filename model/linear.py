@@ -37,9 +37,7 @@ class Elimination:
         return y
 
     def backward(self, y: list[SX], last: SX | None = None) -> SX:
-        """Return U^-1 y; `last`, where given, is taken as the last unknown instead of being solved
-        for.
-        """
+        """Return U^-1 y; `last`, where given, is the last unknown and not solved for."""
         x = list(y)
         for i in reversed(range(self.n)):
             if i == self.n - 1 and last is not None:

@@ -1,5 +1,4 @@
-"""`Program`: one table of variables `v[]` for one or several systems, and the functions that work
-on it.
+"""`Program`: one table of variables `v[]` for one or several systems, and its functions.
 
 The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws,
 observer methods) share the table; each has its own functions, and a selector parameter chooses the
@@ -29,7 +28,7 @@ from bristle.model.variables import Parameter, Variable
 __all__ = ["Program"]
 
 SX = ca.SX
-
+Block = tuple[Any, Sequence[int]]  # an expression, and where its entries are written to
 
 # functions that are present even where they have nothing to do
 ALWAYS = ("derive", "start", "outputs")
@@ -125,8 +124,6 @@ class Program:
         The variants; inputs and outputs must agree.
     selector : str, optional
         Name of the parameter that chooses the variant; needed for more than one.
-    chosen : str, optional
-        Name of the variant that is chosen where nothing else is said; the first one by default.
     sensitivities : sequence of str, optional
         Parameters for which the derivative of the internal step is generated too.
     observed : str, optional
@@ -141,7 +138,6 @@ class Program:
         description: str = "",
         sensitivities: Sequence[str] = (),
         observed: str | None = None,
-        chosen: str | None = None,
     ) -> None:
         if len(systems) > 1 and selector is None:
             raise BristleError(
@@ -150,7 +146,7 @@ class Program:
         self.name, self.description = name, description or systems[0].description
         self.selector = selector if len(systems) > 1 else None
         self.sensitivities, self.observed = tuple(sensitivities), observed
-        self.chosen = [system.name for system in systems].index(chosen) if chosen else 0
+        self.chosen = 0  # number of the variant that is chosen where nothing else is said
         self.slots: list[Slot] = []
         self.index: dict[str, int] = {}
         self._layout(systems)
@@ -175,17 +171,9 @@ class Program:
     def _layout(self, systems: Sequence[System]) -> None:
         self._add("time", "time", Variable("time", "s", "simulation time"))
         if self.selector:
-            self._add(
-                self.selector,
-                "selector",
-                Variable(self.selector, "1", "variant"),
-                self.chosen + 1.0,
-            )
-            self._add(
-                f"{self.selector}_index",
-                "index",
-                Variable(f"{self.selector}_index", "1", self._index_text(systems)),
-            )
+            index = Variable(f"{self.selector}_index", "1", self._index_text(systems))
+            self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), 1.0)
+            self._add(index.name, "index", index)
         for system in systems:
             for parameter in system.parameters.values():
                 self._add(parameter.name, "parameter", parameter, parameter.default)
@@ -204,23 +192,24 @@ class Program:
                 "1",
                 f"number of the {self.selector} that runs: {_numbered(systems)}",
             )
-            self._add(running.name, "running", running, self.chosen + 1.0)
+            self._add(running.name, "running", running, 1.0)
         for system in systems:
-            for name in (name for block in system.constants for name in block):
-                self._add(_own(system, name), "hidden", Variable(name, "1", "constant"))
-            for state in system.states.values():
-                self._add(_own(system, state.name), "state", state)
-                if system.smooth:
-                    rate = Variable(
-                        state.name, per_second(state.unit), f"rate of {state.description}"
-                    )
-                    self._add(f"der({_own(system, state.name)})", "der", rate)
-            for kind, group in (
-                ("sampled", {**system.before, **system.after}),
-                ("mode", system.modes),
-            ):
-                for state in group.values():
-                    self._add(_own(system, state.name), kind, state)
+            self._add_own(system)
+
+    def _add_own(self, system: System) -> None:
+        """Add what no other system shares: constants, states and their rates."""
+        for name in (name for block in system.constants for name in block):
+            self._add(_own(system, name), "hidden", Variable(name, "1", "constant"))
+        for state in system.states.values():
+            self._add(_own(system, state.name), "state", state)
+            if system.smooth:
+                unit, meaning = per_second(state.unit), f"rate of {state.description}"
+                rate = Variable(state.name, unit, meaning)
+                self._add(f"der({_own(system, state.name)})", "der", rate)
+        groups = (("sampled", {**system.before, **system.after}), ("mode", system.modes))
+        for kind, group in groups:
+            for state in group.values():
+                self._add(_own(system, state.name), kind, state)
 
     def _index_text(self, systems: Sequence[System]) -> str:
         return (
@@ -249,12 +238,7 @@ class Program:
     # -- kernels -----------------------------------------------------------------------------------
 
     def _kernel(
-        self,
-        system: System,
-        name: str,
-        blocks: Iterable[tuple[Any, Sequence[int]]],
-        h: SX,
-        to_output: bool = False,
+        self, system: System, name: str, blocks: Iterable[Block], h: SX, to_output: bool = False
     ) -> Kernel:
         names = list(system.symbols)
         arguments = ca.vertcat(system.time, system.vector(names))
@@ -292,67 +276,71 @@ class Program:
         )
 
     def _kernels(self, system: System) -> dict[str, Kernel]:
-        h, kernels = SX.sym("h"), {}
+        h = SX.sym("h")
 
-        def add(
-            name: str, blocks: Iterable[tuple[Any, Sequence[int]]], to_output: bool = False
-        ) -> None:
-            kernels[name] = self._kernel(system, name, blocks, h, to_output)
-
-        def values(pairs: dict[str, SX]) -> tuple[Any, tuple[int, ...]]:
+        def values(pairs: dict[str, SX]) -> Block:
             return ca.vertcat(*pairs.values()), self._places(system, pairs)
 
-        def public(pairs: dict[str, tuple[Variable, SX]]) -> list[tuple[Any, tuple[int, ...]]]:
-            places = tuple(self.index[name] for name in pairs)
-            return (
-                [(ca.vertcat(*(expression for _, expression in pairs.values())), places)]
-                if pairs
-                else []
-            )
+        def public(pairs: dict[str, tuple[Variable, SX]]) -> list[Block]:
+            if not pairs:
+                return []
+            shown = ca.vertcat(*(expression for _, expression in pairs.values()))
+            return [(shown, tuple(self.index[name] for name in pairs))]
 
-        add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
-        add("start", [values({name: SX(state.initial) for name, state in system.carried.items()})])
-        add("outputs", public(system.outputs))
-        for name, sampled in (
-            ("before", system.before),
-            ("after", system.after),
-            ("modes", system.modes),
-        ):
-            add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
+        constants = [values(block) for block in system.constants]
+        initial = {name: SX(state.initial) for name, state in system.carried.items()}
+        blocks: dict[str, list[Block]] = {
+            "derive": [*constants, *public(system.calculated)],
+            "start": [values(initial)],
+            "outputs": public(system.outputs),
+        }
+        groups = {"before": system.before, "after": system.after, "modes": system.modes}
+        for name, sampled in groups.items():
+            blocks[name] = [values({n: system.updates[n] for n in sampled})] if sampled else []
+        # what is written to `v[]`, then what is handed out
+        made = {name: self._kernel(system, name, each, h) for name, each in blocks.items()}
+        for name, each in (self._step(system, h) | self._smooth(system)).items():
+            made[name] = self._kernel(system, name, [each], h, to_output=True)
+        return made
+
+    def _step(self, system: System, h: SX) -> dict[str, Block]:
+        """Return the internal step of length h, and the derivatives that are asked for."""
+        if not system.states:
+            return {}
         n = len(system.states)
-        if system.states:
-            unknowns: list[Unknown] = []
-            if system.dry:
-                end, unknowns = proximal(system, h)
-                error = SX(0)
-            else:
-                end, error = rodas(system, h)
-            step = ca.vertcat(system.with_followers(end), error)
-            add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
-            if self.sensitivities:
-                # the step itself beside: both share most of their work
-                slopes = self._derivative(system, at_the_point(system, step[:n], h), unknowns)[0]
-                both = ca.vertcat(slopes, _solved(step[:n], unknowns))
-                add("step_jacobian", [(both, range(both.numel()))], to_output=True)
-            if self.sensitivities and self.observed:
-                add(
-                    "seen_jacobian",
-                    [self._derivative(system, system.outputs[self.observed][1])],
-                    to_output=True,
-                )
-        if system.smooth:
-            add("rates", [(system.rate_vector(), range(n))], to_output=True)
-            found = ca.vertcat(
-                system.rate_vector(), *(expression for _, expression in system.outputs.values())
-            )
-            knowns = system.vector([*system.states, *system.inputs])
-            jacobian = ca.jacobian(found, knowns)
-            add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
-        return kernels
+        unknowns: list[Unknown] = []
+        if system.dry:
+            end, unknowns = proximal(system, h)
+            error = SX(0)
+        else:
+            end, error = rodas(system, h)
+        step = ca.vertcat(system.with_followers(end), error)
+        found: dict[str, Block] = {"step": (_solved(step, unknowns), range(n + 1))}
+        if self.sensitivities:
+            # the step itself beside: both share most of their work
+            slopes = self._derivative(system, at_the_point(system, step[:n], h), unknowns)[0]
+            both = ca.vertcat(slopes, _solved(step[:n], unknowns))
+            found["step_jacobian"] = both, range(both.numel())
+        if self.sensitivities and self.observed:
+            found["seen_jacobian"] = self._derivative(system, system.outputs[self.observed][1])
+        return found
 
-    def _derivative(
-        self, system: System, values: SX, unknowns: Sequence[Unknown] = ()
-    ) -> tuple[SX, range]:
+    def _smooth(self, system: System) -> dict[str, Block]:
+        """Return the rates of a smooth system, and the Jacobian of rates and outputs by states and
+        inputs.
+        """
+        if not system.smooth:
+            return {}
+        outputs = (expression for _, expression in system.outputs.values())
+        found = ca.vertcat(system.rate_vector(), *outputs)
+        knowns = system.vector([*system.states, *system.inputs])
+        jacobian = ca.vec(ca.jacobian(found, knowns).T)
+        return {
+            "rates": (system.rate_vector(), range(len(system.states))),
+            "jacobian": (jacobian, range(jacobian.numel())),
+        }
+
+    def _derivative(self, system: System, values: SX, unknowns: Sequence[Unknown] = ()) -> Block:
         """Return d(values)/d(x, chosen parameters), row-major; constants and what is solved for are
         differentiated too.
         """
@@ -399,6 +387,16 @@ class Program:
                 if isinstance(slot.variable, Parameter) and slot.name in values
                 else slot
             )
+            for slot in self.slots
+        ]
+        return made
+
+    def choosing(self, variant: str) -> Program:
+        """Return the same program, which runs another variant where nothing else is said."""
+        made = copy.copy(self)
+        made.chosen = [each.system.name for each in self.variants].index(variant)
+        made.slots = [
+            replace(slot, start=made.chosen + 1.0) if slot.kind in ("selector", "running") else slot
             for slot in self.slots
         ]
         return made

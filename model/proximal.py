@@ -117,11 +117,20 @@ def _slip(row: _Row) -> tuple[SX, SX]:
     return dv, ca.if_else(slides, v + row.weight * slide, (share * v + (1 - share) * rest) / 2)
 
 
-def _path(
-    row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
-) -> tuple[Unknown, SX]:
-    """Return (distance, deflection) after a share of the step in one direction, from a velocity and
-    a deflection.
+@dataclass(frozen=True)
+class _Leg:
+    """A share of the step in one direction: from a velocity and a deflection, against a level."""
+
+    share: SX
+    side: SX  # 1 forward, -1 backward
+    v: SX
+    z: SX
+    pull: SX  # at this velocity
+    level: SX
+
+
+def _path(row: _Row, leg: _Leg) -> tuple[Unknown, SX]:
+    """Return (distance, deflection) after a leg.
 
     Bristles relax with the distance d: z = s + (z0 - s) exp(-d/b), with b = level / stiffness and s
     = side b, so that their mean force along the way is a function of d alone, and d solves one
@@ -129,13 +138,13 @@ def _path(
     slide, close in on it from one side. A negative distance belongs to a step that reverses in its
     first half; there the equation goes on along its tangent, and the distance tells when.
     """
-    dry, tau = row.dry, share * row.h
-    pivot, weight = row.pivot / share, ca.if_else(share < 1, 0.5, row.weight)
+    dry, side, level, tau = row.dry, leg.side, leg.level, leg.share * row.h
+    pivot, weight = row.pivot / leg.share, ca.if_else(leg.share < 1, 0.5, row.weight)
     length = level * dry.inertia / dry.stiffness
     # how far the deflection is from its limit, counted in the direction of motion
-    gap = side * (side * length - z)
+    gap = side * (side * length - leg.z)
     elastic, viscous = dry.stiffness / dry.inertia, dry.damping / (dry.inertia * tau)
-    offset = pivot * side * from_v / weight + side * pull - level
+    offset = pivot * side * leg.v / weight + side * leg.pull - level
     slope = pivot / (weight * tau)
 
     def equation(d: SX) -> tuple[SX, SX]:
@@ -173,7 +182,7 @@ def _bend(row: _Row, z: SX) -> tuple[SX, SX, SX, list[Unknown]]:
     v, dry = row.v, row.dry
     upper, lower = _bounds(dry, v, v)
     side, level = ca.if_else(v < 0, -1, 1), ca.if_else(v < 0, -lower, upper)
-    on, bent = _path(row, side, z, v, row.pull, SX(1), level)
+    on, bent = _path(row, _Leg(SX(1), side, v, z, row.pull, level))
     dv = (side * on.symbol / row.h - v) / row.weight
     keeps = v * (v + dv) > 0
     # a reversal in the last instant of the step is taken a little earlier: nothing is to be divided
@@ -187,9 +196,8 @@ def _bend(row: _Row, z: SX) -> tuple[SX, SX, SX, list[Unknown]]:
     push = row.at_rest - dry.stiffness / dry.inertia * middle
     turned = ca.if_else(push < 0, -1, 1)
     upper, lower = _bounds(dry, v, SX(0))
-    back, end = _path(
-        row, turned, middle, SX(0), row.at_rest, 1 - share, ca.if_else(push < 0, -lower, upper)
-    )
+    against = ca.if_else(push < 0, -lower, upper)
+    back, end = _path(row, _Leg(1 - share, turned, SX(0), middle, row.at_rest, against))
     rest = 2 * turned * back.symbol / ((1 - share) * row.h)
     mean = ca.if_else(keeps, side * on.symbol, side * before + turned * back.symbol) / row.h
     return ca.if_else(keeps, dv, rest - v), mean, ca.if_else(keeps, bent, end), [on, back]

@@ -117,9 +117,7 @@ def _equations(system: System) -> str:
 
 
 def _plain(value: Any, found: list[SX]) -> Any:
-    """Return a value with its expressions replaced by their numbers in `found`, where they are
-    put.
-    """
+    """Return a value with its expressions replaced by numbers in `found`, where they are put."""
     if isinstance(value, SX):
         found.append(ca.densify(value))
         return f"expression {len(found)} of {value.shape}"

@@ -134,9 +134,7 @@ class System:
         return self.symbols[name]
 
     def parameter(self, parameter: Parameter) -> SX:
-        """Declare a parameter; declaring the same one again is allowed and returns the same
-        symbol.
-        """
+        """Declare a parameter; declaring the same one again returns the same symbol."""
         if self.parameters.get(parameter.name) == parameter:
             return self.symbols[parameter.name]
         self.parameters[parameter.name] = parameter
@@ -162,9 +160,7 @@ class System:
         return self._symbol(state.name)
 
     def mode(self, state: State) -> SX:
-        """Declare a mode, switched at the end of an internal step; give its next value with
-        `update`.
-        """
+        """Declare a mode, switched at the end of a step; give its next value with `update`."""
         self.modes[state.name] = state
         return self._symbol(state.name)
 
@@ -226,8 +222,7 @@ class System:
         backward: SX | None = None,
         bristles: tuple[str, SX, SX] | None = None,
     ) -> None:
-        """Put dry friction of the given bound [N.m] on the rate of `row`, whose inertia is
-        `inertia`.
+        """Put dry friction of a bound [N.m] on the rate of `row`, whose inertia is `inertia`.
 
         `backward` is the bound against backward motion, where it differs; `bristles` (name of the
         deflection's state, stiffness, damping) make it elastic before it slides.

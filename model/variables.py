@@ -1,16 +1,15 @@
-"""Parameters and variables: each is declared once; everything else about it is generated from
-here.
-"""
+"""Parameters and variables: each is declared once; all else about it is generated from here."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from bristle.common.errors import BristleError
 
-__all__ = ["Namespace", "Parameter", "State", "Variable"]
+__all__ = ["Namespace", "Parameter", "State", "Variable", "declaring"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,22 @@ class Parameter:
                 f" ({self.description})"
             )
         return value
+
+
+def declaring(
+    prefix: str, source: str
+) -> Callable[[str, str, str, tuple[float, float, float], str], Parameter]:
+    """Return a function that declares parameters under a prefix, all of one source.
+
+    It takes name, symbol, unit, (default, minimum, maximum) and description.
+    """
+
+    def declared(
+        name: str, symbol: str, unit: str, values: tuple[float, float, float], text: str
+    ) -> Parameter:
+        return Parameter(f"{prefix}.{name}", symbol, unit, *values, text, source)
+
+    return declared
 
 
 @dataclass(frozen=True)

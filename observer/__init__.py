@@ -43,7 +43,7 @@ def observer_program(method: str | None = None) -> Program:
     if method is None:
         systems = [observer(each) for each in own.values()]
         about = "adaptive observer, chosen by the parameter method"
-        return Program("AdaptiveObserver", systems, "method", about, chosen="bastin_gevers")
+        return Program("AdaptiveObserver", systems, "method", about).choosing("bastin_gevers")
     return Program(f"AdaptiveObserver_{method}", [observer(_chosen(method, own))])
 
 

@@ -20,7 +20,7 @@ ESTIMATES = units("alpha2", "b", "Fc")
 
 
 @dataclass(frozen=True)
-class Settings:
+class Tuning:
     """Gate vc in deg/s, c1 in 1/s, Gamma for (alpha2, b, Fc), in the units in which the step
     computes.
     """
@@ -30,8 +30,8 @@ class Settings:
     gamma: tuple[float, float, float]
 
 
-REPAIRED = Settings(vc=0.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
-PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
+REPAIRED = Tuning(vc=0.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
+PRINTED = Tuning(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
 
 
 def gamma_parameters(
@@ -70,7 +70,7 @@ def start_parameters(prefix: str, source: str = CITATION) -> tuple[Parameter, ..
     )
 
 
-def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
+def parameters(prefix: str, settings: Tuning) -> tuple[Parameter, ...]:
     """Declare gate, gains and starts under a method's name."""
     return (
         step1.gate_parameter(prefix, settings.vc * DEGREE),

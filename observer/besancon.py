@@ -21,21 +21,19 @@ def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
 
 
 def predict(
-    f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis
+    f: zhang.Filter, memory: zhang.Memory, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis
 ) -> tuple[SX, SX]:
-    """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi
-    theta.
+    """Advance x^ = (v^, -w^) and Ups a sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
 
     v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the
     end of the sample holds the unknown x2; being linear in it, it is solved for.
 
     Source: dixit2008 section IV-E; zhang.py for the filter.
     """
+    x, ups, theta = memory
     entries = slice(theta.numel())
-    psi0, psi1 = (
-        zhang.regressor(s.y0, x[1], phi)[:, entries],
-        zhang.regressor(s.y1, SX(0), phi)[:, entries],
-    )
+    psi0 = zhang.regressor(s.y0, x[1], phi)[:, entries]
+    psi1 = zhang.regressor(s.y1, SX(0), phi)[:, entries]
     f0 = ca.vertcat(-alpha2 * s.y0 + b * s.u, psi0 @ theta) + f.k * s.y0
     f1 = ca.vertcat(-alpha2 * s.y1 + b * s.u, psi1 @ theta) + f.k * s.y1
     x_new = zhang.ahead(f, x, f0, f1, ca.fabs(s.y1) * theta[3])
@@ -47,7 +45,7 @@ def step(context: EquationContext, s: Sample, f: zhang.Filter, alpha2: SX, b: SX
     """Return the next states of the matrix-gain observer with the given alpha2 and b."""
     p = context.p
     x, ups, theta, mean = zhang.read(p, 2)
-    x, ups = predict(f, x, ups, theta, s, alpha2, b, zhang.basis(p))
+    x, ups = predict(f, (x, ups, theta), s, alpha2, b, zhang.basis(p))
     new = zhang.gradient(ups, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low=True)
     return zhang.write(x + ups @ (new - theta), ups, new, mean, zhang.averaging_weight(p, s.period))
 

@@ -32,8 +32,7 @@ def chain(h: SX) -> tuple[SX, SX, SX]:
 
 
 def innovation_gain(lam: SX, h: SX) -> SX:
-    """Return the gain that puts all three error poles at exp(-lam h): K0 = [3, 3, 1] of (6),
-    sampled.
+    """Return the gain that puts all error poles at exp(-lam h): K0 = [3, 3, 1] of (6), sampled.
 
     A filter that holds the *position* linear between samples, as the second-order observer holds
     the velocity, loses v' h^2/12, which its gain turns into an error of b; an innovation at the
@@ -48,23 +47,22 @@ def _limited(v: SX) -> SX:
     return ca.fmin(ca.fmax(v, -MAX_REGRESSOR_SPEED), MAX_REGRESSOR_SPEED)
 
 
-def predict(
-    x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX, phi: zhang.Basis
-) -> tuple[SX, SX]:
+def predict(memory: zhang.Memory, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis) -> tuple[SX, SX]:
     """Advance x^ = (theta^, v^, -w^) and Ups over one sample without correction.
 
     The velocity at the end is predicted twice, the second time with the regressor of the first; the
     term c |v| x2 is solved for, as in the second-order observer. Source: dixit2008 eq. (15), (17)
     and the remark on position measurement at the end of section III.
     """
-    f, m0, m1 = chain(h)
+    x, ups, theta = memory
+    f, m0, m1 = chain(s.period)
     va = _limited(x[1])
     psi0 = zhang.regressor(va, x[2], phi)
     vb, psi1, ahead = va, psi0, x
     for _ in range(2):
         psi1 = zhang.regressor(vb, SX(0), phi)
-        f0 = ca.vertcat(-alpha2 * va + b * u, psi0 @ theta)
-        f1 = ca.vertcat(-alpha2 * vb + b * u, psi1 @ theta)
+        f0 = ca.vertcat(-alpha2 * va + b * s.u, psi0 @ theta)
+        f1 = ca.vertcat(-alpha2 * vb + b * s.u, psi1 @ theta)
         free = f @ x + m0 @ f0 + m1 @ f1
         rate = ca.fabs(vb) * theta[3]
         x2 = free[2] / (1 + m1[2, 1] * rate)
@@ -78,7 +76,7 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
     """Return the next states of the observer with the given alpha2 and b."""
     p = context.p
     x, ups, theta, mean = zhang.read(p, 3)
-    x, ups = predict(x, ups, theta, s.u, s.period, alpha2, b, zhang.basis(p))
+    x, ups = predict((x, ups, theta), s, alpha2, b, zhang.basis(p))
     error = s.y1 - x[0]
     theta_new = zhang.gradient(ups, theta, error, zhang.matrix_gain(p), s.period, low=True)
     gain = innovation_gain(p.lam, s.period)
@@ -89,12 +87,8 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals)."""
-    return zhang.estimates(p, "mean"), {
-        "theta": p.x0,
-        "v": p.x1,
-        "w": -p.x2,
-        "F": -p.x2 + alpha2 * p.x1,
-    }
+    signals = {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
+    return zhang.estimates(p, "mean"), signals
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

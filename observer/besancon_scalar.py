@@ -31,7 +31,7 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
     x, ups, theta, mean = zhang.read(p, 2, zhang.ESTIMATES)
     degrees = Sample(s.u, s.y0 / UNIT, s.y1 / UNIT, s.period)
     f, gain = besancon.filter_of(context, s), p.lam**4 * SX.ones(4)
-    x, ups = besancon.predict(f, x, ups, theta, degrees, alpha2, b / UNIT, _basis(p))
+    x, ups = besancon.predict(f, (x, ups, theta), degrees, alpha2, b / UNIT, _basis(p))
     error = degrees.y1 - x[0]
     implicit = zhang.gradient(ups, theta, error, gain, s.period, low=False)
     new = ca.if_else(p.implicit > 0, implicit, theta + s.period * gain * ups[0, :].T * error)

@@ -19,7 +19,8 @@ Use, in a method with estimates alpha2, b and Fc::
     COMPANION = Companion(("alpha2", "b", "Fc"), extra=2)       # h has three entries, x has two
     states:     (*own, *COMPANION.states)
     next:       own | COMPANION.advance(p, Row(z, h, x, counts, noise, alike), kept, period)
-    published:  Update(next, estimates, **COMPANION.judge(p, COMPANION.deviations(p, estimates), limits, possible))
+    sd:         COMPANION.deviations(p, estimates)
+    published:  Update(next, estimates, **COMPANION.judge(p, sd, limits, possible))
 
 The estimates may be the method's own, or the least squares themselves (`fit`). A second companion
 in one method needs a `prefix` of its own. Source: ljung1999 sections 9.6 and 11.2; hausman1978 (an
@@ -120,6 +121,22 @@ class View:
         return seen + ca.diag(ca.vertcat(self.certainty + self.exact * own, 0)), turn.T @ line
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """Least squares, with the states of a companion that follow from them.
+
+    `everything`: of all columns; `found`, `narrow`, `unit`, `distinct`: of what has a name; `left`:
+    the sum of squares that they leave.
+    """
+
+    everything: SX
+    found: SX
+    narrow: SX
+    unit: SX
+    distinct: SX
+    left: SX
+
+
 class Companion:
     """The least squares of the entries of theta called `names`, beside `extra` further columns.
 
@@ -186,18 +203,54 @@ class Companion:
         Source: ljung1999 section 11.2 (information form); flyvbjerg1989 (samples that share an
         error).
         """
-        pre, n = self.prefix, self.fitted
+        pre = self.prefix
         line = ca.vertcat(row.h, row.x, row.z)
-        before, rows = information.read(p, self.entries + 1, f"{pre}information"), p[f"{pre}rows"]
-        since, rests = excitation.rest(
-            p[f"{pre}rest"], row.rest.moves if row.rest else SX(1), period
-        )
+        moves = row.rest.moves if row.rest else SX(1)
+        since, rests = excitation.rest(p[f"{pre}rest"], moves, period)
         counts = ca.logic_and(row.counts, ca.logic_not(rests))
+        # what the samples say so far
+        before, rows = information.read(p, self.entries + 1, f"{pre}information"), p[f"{pre}rows"]
         r = ca.if_else(counts, kept * before + line @ line.T, before)
         r = ca.if_else(rests, self._drifted(p, r, row.rest, period), r) if row.rest else r
         rows = ca.if_else(counts, kept * rows + 1, rows)
+        # their least squares
         view = look(r) if look else None
         seen, looked = view.of(r, line) if view else (r, line)
+        solved = self._solved(seen, view)
+        free = rows / row.alike - self.columns  # independent samples beyond the unknowns
+        adapted = free > 0
+        residual = solved.left / ca.fmax(free, 1)
+        known = stack(p, f"{pre}unit", self.count) / ca.fmax(kept, LEAST_KEPT)
+        lost = ca.if_else(counts, ca.fmax(known - solved.unit, 0), 0)
+        fit = ca.if_else(adapted, solved.found, 0)
+        # how well they explain the sample, and how much they move
+        time, age = ca.if_else(counts, period, 0), p[f"{pre}counted"]
+        error = looked[-1] - ca.dot(looked[:-1], solved.everything)
+        square = ca.fmin(error**2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)
+        late = p[f"{pre}late"]
+        share = time / ca.fmin(age + period, LATE_TIME)
+        sensor = row.noise * (rows + SURE_BY * ca.sqrt(2 * rows * row.alike))
+        moved = (age, time, p[f"{pre}adapted"] > 0)
+        return {
+            **information.write(r, f"{pre}information"),
+            **unstack(f"{pre}fit", fit),
+            **unstack(f"{pre}narrow", ca.if_else(adapted, solved.narrow, 0)),
+            **unstack(f"{pre}unit", solved.unit),
+            **unstack(f"{pre}distinct", solved.distinct),
+            f"{pre}rows": rows,
+            f"{pre}counted": age + time,
+            f"{pre}residual": residual,
+            f"{pre}left": solved.left,
+            f"{pre}missed": ca.fmax(solved.left - sensor, 0),
+            f"{pre}adapted": adapted,
+            f"{pre}late": late + share * (square - late),
+            f"{pre}rest": since,
+            **consistency.blocks(p, fit, residual * lost, moved, BLOCKS_OF_CLAIM, pre),
+        }
+
+    def _solved(self, seen: SX, view: View | None) -> _Solved:
+        """Return the least squares of the information, and of what follows from them."""
+        n = self.fitted
         factors = information.Factors(seen + RIDGE_SHARE * ca.diag(ca.diag(seen)))
         everything, unit = factors.regression(), factors.inverse_diagonal(self.columns)[:n]
         # 1 over its product with `unit` is the share that the others do not explain
@@ -212,47 +265,12 @@ class Companion:
             found = ca.vertcat(found, values)
             unit = ca.vertcat(unit, *spread)
             distinct = ca.vertcat(distinct, *([ca.mmin(distinct)] * len(spread)))
-        free = rows / row.alike - self.columns  # independent samples beyond the unknowns
-        adapted = free > 0
-        left, unit = ca.fabs(factors.d[-1]), ca.fabs(unit)  # rounding may have cost them their sign
-        residual = left / ca.fmax(free, 1)
-        lost = ca.if_else(
-            counts,
-            ca.fmax(stack(p, f"{pre}unit", self.count) / ca.fmax(kept, LEAST_KEPT) - unit, 0),
-            0,
-        )
-        fit = ca.if_else(adapted, found, 0)
-        time, age = ca.if_else(counts, period, 0), p[f"{pre}counted"]
-        square = ca.fmin(
-            (looked[-1] - ca.dot(looked[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE),
-            LARGEST_SQUARE,
-        )
-        late = p[f"{pre}late"]
-        share = time / ca.fmin(age + period, LATE_TIME)
-        return {
-            **information.write(r, f"{pre}information"),
-            **unstack(f"{pre}fit", fit),
-            **unstack(f"{pre}narrow", ca.if_else(adapted, narrow, 0)),
-            **unstack(f"{pre}unit", unit),
-            **unstack(f"{pre}distinct", distinct),
-            f"{pre}rows": rows,
-            f"{pre}counted": age + time,
-            f"{pre}residual": residual,
-            f"{pre}left": left,
-            f"{pre}missed": ca.fmax(
-                left - row.noise * (rows + SURE_BY * ca.sqrt(2 * rows * row.alike)), 0
-            ),
-            f"{pre}adapted": adapted,
-            f"{pre}late": late + share * (square - late),
-            f"{pre}rest": since,
-            **consistency.blocks(
-                p, fit, residual * lost, (age, time, p[f"{pre}adapted"] > 0), BLOCKS_OF_CLAIM, pre
-            ),
-        }
+        # rounding may have cost these their sign
+        left, unit = ca.fabs(factors.d[-1]), ca.fabs(unit)
+        return _Solved(everything, found, narrow, unit, distinct, left)
 
     def _drifted(self, p: Namespace, matrix: SX, rest: Rest, period: SX) -> SX:
-        """Return the information after a time in which the entry of the load has done a random
-        walk.
+        """Return the information after a time in which the load's entry has done a random walk.
 
         The quadratic form least over the change of that entry: R - R e e' R / (1 / q + e' R e).
         Source: jazwinski1970 chapter 7 (process noise), in information form.
@@ -270,9 +288,7 @@ class Companion:
         return SX(matrix - walk * column @ column.T / (1 + walk * column[rest.column]))
 
     def fit(self, p: Namespace) -> dict[str, SX]:
-        """Return the least squares beside the further columns; 0 before there are enough
-        samples.
-        """
+        """Return the least squares beside the further columns; 0 before samples suffice."""
         return {name: p[f"{self.prefix}fit{i}"] for i, name in enumerate(self.names)}
 
     def narrow(self, p: Namespace) -> dict[str, SX]:

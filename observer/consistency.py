@@ -52,9 +52,7 @@ def blocks(
     at_start: float = BLOCKS_AT_START,
     prefix: str = "",
 ) -> dict[str, SX]:
-    """Do the same with `clock` = (age, time, runs) and another weight of the ratio 1 at the
-    start.
-    """
+    """Do the same with `clock` = (age, time, runs) and another weight of ratio 1 at the start."""
     n, (age, time, runs) = estimate.numel(), clock
     end = ca.logic_or(
         ca.logic_not(runs), ca.floor(age / BLOCK_TIME) != ca.floor((age + time) / BLOCK_TIME)

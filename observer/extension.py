@@ -1,7 +1,8 @@
 """Kreisselmeier's regressor extension: one equation z = h' theta becomes as many as there are
 parameters.
 
-    Phi' = -q Phi + h h',   Y' = -q Y + h z,   so that Phi theta = Y at any time: the last 1/q seconds of the record.
+    Phi' = -q Phi + h h',   Y' = -q Y + h z,
+so that Phi theta = Y at any time: the last 1/q seconds of the record.
 
 Two laws work on it: Kreisselmeier's gradient, and mixing (drem.py).
 Source: kreisselmeier1977.

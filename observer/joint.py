@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 
 from bristle.model.basis import width_parameter
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.observer import consistency, excitation, kalman, rls, smoothing, step1, step2, swapping
 from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import EquationContext, Sample, Update, stack
@@ -32,7 +32,7 @@ JUDGED_FROM = 5.0  # s after a start from which estimates may be valid
 
 
 @dataclass(frozen=True)
-class Filter:
+class JointFilter:
     """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their
     bounds.
 
@@ -49,9 +49,7 @@ class Filter:
 
     @property
     def load(self) -> int | None:
-        """Place of the load torque among the entries, which may change unseen while the servo
-        rests.
-        """
+        """Place of the load torque, which may change unseen in rest, among the entries."""
         return self.names.index("load") if "load" in self.names else None
 
     @property
@@ -60,7 +58,20 @@ class Filter:
         return MOTION_STATES + len(self.names)
 
 
-def update(context: EquationContext, s: Sample, f: Filter) -> Update:
+@dataclass(frozen=True)
+class _Moved:
+    """What a sample makes of a filter; `lost`: variance that it took from each entry, `drifted`:
+    state of a load that may have changed in rest.
+    """
+
+    z: SX
+    covariance: SX
+    lost: SX
+    innovation: SX
+    drifted: dict[str, SX]
+
+
+def update(context: EquationContext, s: Sample, f: JointFilter) -> Update:
     """Advance step 1 and, once it has converged, the filter.
 
     Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
@@ -69,54 +80,34 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     fields = rls.published(p, h)
     go = step2.begun(p, s, fields, JOINT_START_SHARE)
     runs = p.step2_runs > 0
-    now, uncertainty = kalman.read(p, f.order)
-    z, covariance = f.predict(p, now, uncertainty, s)
-    rates = ca.vertcat(
-        0, p.noise_v, p.noise_w, p.noise_parameters * stack(p, "spread", len(f.names)) ** 2
-    )
-    quantum = kalman.rounding(p.resolution)
-    error = s.y1 + p.resolution / 2 - z[0]
-    before = kalman.noisy(covariance, ca.vertsplit(rates), h)
-    rests = p.rest >= excitation.FRESH_TIME
-    drifted: dict[str, SX] = {}
-    if f.load is not None:
-        before = kalman.moved_again(before, ca.if_else(rests, 0, p.drifted), MOTION_STATES + f.load)
-        square = f.estimates(now[MOTION_STATES:])["Fc"] ** 2
-        drifted["drifted"] = ca.if_else(runs, excitation.drifted(p.drifted, rests, square, h), 0)
-    z, covariance, size = kalman.correct(z, before, error, quantum, p.gate)
-    lost = before[MOTION_STATES:, 0] ** 2 / (
-        (before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2)
-    )
-    z = kalman.bounded(z, covariance, *f.bounds(p))
+    moved = _moved(p, s, f, runs)
+    # until it begins it waits where it would start
     entries, spread = f.start(p, fields["estimates"])
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, entries)
-    motion = ca.vertcat(
-        p.resolution, 0.5 * ca.fabs(p.last_v) + 1, ca.fabs(fields["estimates"]["Fc"]) + 1
-    )
-    first, last = SENSOR_TIME
-    share = h / (first + ca.fmin(p.age, last))
-    ratio = ca.fmin(error**2 / quantum, LARGEST_RATIO)
+    level = ca.fabs(fields["estimates"]["Fc"])
+    motion = ca.vertcat(p.resolution, 0.5 * ca.fabs(p.last_v) + 1, level + 1)
+    uncertain = ca.diag(ca.vertcat(motion, spread) ** 2)
     velocity, beside = smoothing.smooth(p, s)
     beside |= step2.observe(context, velocity, step2.known(fields), step2.from_position(p, s))
+    now = kalman.read(p, f.order)[0]
     return Update(
         next={
             **rls.fit(p, s),
             **beside,
             **kalman.write(
-                ca.if_else(runs, z, waiting),
-                ca.if_else(runs, covariance, ca.diag(ca.vertcat(motion, spread) ** 2)),
+                ca.if_else(runs, moved.z, waiting), ca.if_else(runs, moved.covariance, uncertain)
             ),
-            **consistency.blocks(p, z[MOTION_STATES:], lost, (p.age, h, runs), prefix=PREFIX),
+            **consistency.blocks(
+                p, moved.z[MOTION_STATES:], moved.lost, (p.age, h, runs), prefix=PREFIX
+            ),
             **{
                 f"spread{i}": ca.if_else(runs, p[f"spread{i}"], spread[i])
                 for i in range(len(f.names))
             },
             "age": ca.if_else(runs, p.age + h, 0),
-            "innovation_sensor": ca.if_else(
-                runs, p.innovation_sensor + share * (ratio - p.innovation_sensor), 1
-            ),
+            "innovation_sensor": ca.if_else(runs, moved.innovation, 1),
             "step2_runs": go,
-            **drifted,
+            **moved.drifted,
         },
         **_published(p, s, f, fields),
         signals=kalman.signals(now, f.servo(p, now[MOTION_STATES:])),
@@ -124,7 +115,42 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     )
 
 
-def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) -> dict[str, Any]:
+def _moved(p: Namespace, s: Sample, f: JointFilter, runs: SX) -> _Moved:
+    """Advance the filter by a sample: prediction, correction, bounds.
+
+    Source: jazwinski1970 chapter 8.
+    """
+    h = s.period
+    now, uncertainty = kalman.read(p, f.order)
+    z, covariance = f.predict(p, now, uncertainty, s)
+    noise = p.noise_parameters * stack(p, "spread", len(f.names)) ** 2
+    rates = ca.vertcat(0, p.noise_v, p.noise_w, noise)
+    quantum = kalman.rounding(p.resolution)
+    error = s.y1 + p.resolution / 2 - z[0]
+    before = kalman.noisy(covariance, ca.vertsplit(rates), h)
+    # the load may have changed in rest
+    rests = p.rest >= excitation.FRESH_TIME
+    drifted: dict[str, SX] = {}
+    if f.load is not None:
+        before = kalman.moved_again(before, ca.if_else(rests, 0, p.drifted), MOTION_STATES + f.load)
+        square = f.estimates(now[MOTION_STATES:])["Fc"] ** 2
+        drifted["drifted"] = ca.if_else(runs, excitation.drifted(p.drifted, rests, square, h), 0)
+    z, covariance, size = kalman.correct(z, before, error, quantum, p.gate)
+    counted = (before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2)
+    lost = before[MOTION_STATES:, 0] ** 2 / counted
+    # the innovations of late, over the variance of the sensor
+    first, last = SENSOR_TIME
+    share = h / (first + ca.fmin(p.age, last))
+    ratio = ca.fmin(error**2 / quantum, LARGEST_RATIO)
+    innovation = p.innovation_sensor + share * (ratio - p.innovation_sensor)
+    return _Moved(
+        kalman.bounded(z, covariance, *f.bounds(p)), covariance, lost, innovation, drifted
+    )
+
+
+def _published(
+    p: Namespace, s: Sample, f: JointFilter, fields: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the fields of an `Update`; an estimate is valid while the innovations are about what
     the sensor explains.
 
@@ -160,40 +186,21 @@ def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tup
     """Declare sensor, step 1, noise and the width of the basis functions under a method's name."""
     most = "mean squared innovation over the variance of the sensor up to which estimates are valid"
     share = "process noise of a parameter over its sd at the start"
+    own, checked = declaring(prefix, NOISE_CITATION), declaring(prefix, "mehra1970")
     return (
         *kalman.parameters(prefix),
         *rls.parameters(prefix),
         width_parameter(prefix),
         step2.start_parameter(prefix),
         smoothing.parameter(prefix),
-        Parameter(
-            f"{prefix}.noise_v",
-            "q_v",
-            "rad2/s3",
-            noise_v,
-            0.0,
-            1e9,
-            "process noise of v",
-            NOISE_CITATION,
-        ),
-        Parameter(
-            f"{prefix}.noise_w",
-            "q_w",
-            "rad2/s5",
-            noise_w,
-            0.0,
-            1e9,
-            "process noise of w",
-            NOISE_CITATION,
-        ),
-        Parameter(
-            f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, share, NOISE_CITATION
-        ),
-        Parameter(f"{prefix}.innovation_limit", "r_v", "1", limit, 1.0, 1e12, most, "mehra1970"),
+        own("noise_v", "q_v", "rad2/s3", (noise_v, 0.0, 1e9), "process noise of v"),
+        own("noise_w", "q_w", "rad2/s5", (noise_w, 0.0, 1e9), "process noise of w"),
+        own("noise_parameters", "q_p", "1/s", (1e-7, 0.0, 1.0), share),
+        checked("innovation_limit", "r_v", "1", (limit, 1.0, 1e12), most),
     )
 
 
-def states(f: Filter) -> tuple[State, ...]:
+def states(f: JointFilter) -> tuple[State, ...]:
     """Declare step 1, vector and covariance, and how far the filter can be trusted."""
     n = len(f.names)
     return (

@@ -54,7 +54,7 @@ def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     }
 
 
-FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds)
+FILTER = joint.JointFilter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds)
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

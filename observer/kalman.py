@@ -187,8 +187,7 @@ def deviations(
 def predict(
     meaning: Callable[[SX], Servo], z: SX, covariance: SX, inputs: SX, h: SX
 ) -> tuple[SX, SX]:
-    """Return (z, P) at the end of a sample, without process noise; the entries behind the states
-    stay.
+    """Return (z, P) at the end of a sample, without noise; the entries behind the states stay.
 
     Source: jazwinski1970 chapter 8 (extended Kalman filter).
     """

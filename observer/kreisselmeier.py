@@ -29,8 +29,7 @@ def kept(p: Namespace, s: Sample) -> SX:
 
 
 def adapt(p: Namespace, r: Row, left: SX, period: SX) -> dict[str, SX]:
-    """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any
-    gain.
+    """Advance theta' = -g (Phi theta - Y) over a sample by an implicit step, stable at any gain.
 
     `left`: share of Phi and Y that counts still.
 

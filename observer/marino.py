@@ -1,10 +1,10 @@
-"""Step 1 from position: Marino's observer with a filtered transformation, for any order n; here n =
-2.
+"""Step 1 from position: Marino's observer with a filtered transformation, for order n; here 2.
 
 Output y = x1 of a chain of integrators, x' = A x + Psi(y, u) theta. With the filtered regressors M,
 whose first row is zero, s = x - M theta obeys s' = A s + b beta' theta, where b = [1, b2, .., bn]
 is Hurwitz and beta' = M2 + Psi1, and
-    s^' = A s^ + b beta' theta^ + (A + lambda) b (y - s1^),   theta^' = Gamma beta (y - s1^),   x^ = s^ + M theta^,
+    s^' = A s^ + b beta' theta^ + (A + lambda) b (y - s1^),
+    theta^' = Gamma beta (y - s1^),   x^ = s^ + M theta^,
 in which y - s1^ answers to beta' (theta - theta^) through 1/(s + lambda).
 
 Bastin and Gevers' observer (3) of the same plant, put into their form (2) by z = x - b y, takes the
@@ -35,6 +35,7 @@ from bristle.observer.method import (
 
 SX = ca.SX
 CITATION = "marino1990"
+Memory = tuple[SX, SX, SX]  # x^, M, theta^
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,14 @@ def chain(n: int, lam: SX, zeros: SX, period: SX) -> Chain:
     return Chain(integrators(n, period), innovation_gain([SX(0), *others], period), k)
 
 
-def advance(c: Chain, x: SX, m: SX, theta: SX, psi: SX, y: SX, gamma: SX) -> tuple[SX, SX, SX]:
+def advance(c: Chain, memory: Memory, psi: SX, y: SX, gamma: SX) -> Memory:
     """Return x^, M and theta^ a sample later; `psi` is what Psi adds to x over the sample, n x q.
 
     The gradient is taken at the error that the new theta^ leaves, and x^ goes its way with the new
     theta^. Of the true parameters' distance from theta^ the answer of that error is passive, so
     that no gain is too large. Source: marino1990, in discrete time.
     """
+    x, m, theta = memory
     ahead = c.phi @ m + psi
     beta = ahead[0, :].T  # times Ts
     predicted = c.phi @ x + psi @ theta
@@ -128,7 +130,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     gamma = ca.if_else(clear > p.hold_off, ca.vertcat(p.gamma1, p.gamma2, p.gamma3), 0)
     theta = stack(p, "theta", 3)
     m = ca.vertcat(SX(1, 3), stack(p, "m", 1, 3))
-    x, m, theta_new = advance(c, stack(p, "x", 2), m, theta, psi, s.y1 - p.origin, gamma)
+    x, m, theta_new = advance(c, (stack(p, "x", 2), m, theta), psi, s.y1 - p.origin, gamma)
     return Update(
         next={
             **shared,

@@ -9,7 +9,8 @@ For v' = x2 - alpha2 v + b u, x2' = psi theta, x2 = -w, with e = v - v^,
 While it slides, e = 0 and the correction nu is the error of x2^ itself. There remains an observer
 of order one and, behind a low-pass filter, through which a switching term shows its equivalent
 value, the regression for theta:
-    x2^' = psi theta^ + kappa nu + Ups theta^',   Ups' = -(kappa + c^ |v|) Ups + psi,   nu + Ups theta^ = Ups theta,
+    x2^' = psi theta^ + kappa nu + Ups theta^',   Ups' = -(kappa + c^ |v|) Ups + psi,
+    nu + Ups theta^ = Ups theta,
 where c^ |v| stands for what psi theta loses to the error of x2^ in psi. Until it has slid for a
 while the parameters wait. Source: martinez2001; utkin1992; dixit2008 eq. (15) to (17).
 """
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.observer import step2, zhang
 from bristle.observer.besancon import START_VALUES
 from bristle.observer.method import (
@@ -118,70 +119,20 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 def parameters(prefix: str, bandwidth: float, noise: float) -> tuple[Parameter, ...]:
     """Declare gains, least squares and starts under a method's name."""
+    waits = "time it must slide before the parameters move"
+    filtered = "corner of the low-pass filter of nu"
     spread = "standard deviation of nu that least squares expect"
+    start = "start of the covariance, in squares of the scales"
+    own, sliding = declaring(prefix, CITATION), declaring(prefix, "utkin1992")
     return (
-        Parameter(f"{prefix}.k", "k", "1/s", 10.0, 0.0, 1e4, "linear correction of v^", CITATION),
-        Parameter(
-            f"{prefix}.rho",
-            "rho",
-            "rad/s2",
-            100.0,
-            0.0,
-            1e6,
-            "switching correction of v^",
-            CITATION,
-        ),
-        Parameter(
-            f"{prefix}.kappa",
-            "kappa",
-            "1/s",
-            50.0,
-            1e-3,
-            1e4,
-            "rate at which the error of x2^ decays",
-            CITATION,
-        ),
-        Parameter(
-            f"{prefix}.sliding_time",
-            "t_s",
-            "s",
-            0.2,
-            0.0,
-            10.0,
-            "time it must slide before the parameters move",
-            CITATION,
-        ),
-        Parameter(
-            f"{prefix}.bandwidth",
-            "a",
-            "1/s",
-            bandwidth,
-            1e-3,
-            1e5,
-            "corner of the low-pass filter of nu",
-            "utkin1992",
-        ),
-        Parameter(
-            f"{prefix}.fading",
-            "q",
-            "1/s",
-            0.05,
-            0.0,
-            1e3,
-            "rate at which least squares forget",
-            CITATION,
-        ),
-        Parameter(f"{prefix}.noise", "r", "rad/s2", noise, 1e-6, 1e6, spread, CITATION),
-        Parameter(
-            f"{prefix}.uncertainty",
-            "P0",
-            "1",
-            1.0,
-            1e-9,
-            1e9,
-            "start of the covariance, in squares of the scales",
-            CITATION,
-        ),
+        own("k", "k", "1/s", (10.0, 0.0, 1e4), "linear correction of v^"),
+        own("rho", "rho", "rad/s2", (100.0, 0.0, 1e6), "switching correction of v^"),
+        own("kappa", "kappa", "1/s", (50.0, 1e-3, 1e4), "rate at which the error of x2^ decays"),
+        own("sliding_time", "t_s", "s", (0.2, 0.0, 10.0), waits),
+        sliding("bandwidth", "a", "1/s", (bandwidth, 1e-3, 1e5), filtered),
+        own("fading", "q", "1/s", (0.05, 0.0, 1e3), "rate at which least squares forget"),
+        own("noise", "r", "rad/s2", (noise, 1e-6, 1e6), spread),
+        own("uncertainty", "P0", "1", (1.0, 1e-9, 1e9), start),
         *zhang.scale_parameters(prefix, CITATION),
         *zhang.start_parameters(prefix, START_VALUES, CITATION),
     )

@@ -50,8 +50,7 @@ def _distances(p: Namespace) -> SX:
 
 
 def _relaxed(p: Namespace, s: Sample) -> SX:
-    """Advance chi over a sample, exactly at its mean velocity; row by row, an element after the
-    other.
+    """Advance chi over a sample, exactly at its mean velocity; row by row, one after the other.
 
     Source: dixit2008 eq. (17); hochbruck2010 section 2 (exponential step).
     """

@@ -1,6 +1,4 @@
-"""Step 1 of Approach II from an encoder: recursive least squares with forgetting on filtered
-signals.
-"""
+"""Step 1 of Approach II from an encoder: recursive least squares on filtered signals."""
 
 from __future__ import annotations
 

@@ -23,11 +23,12 @@ small and the innovations are about what the sensor alone explains.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
 from bristle.model.normalised import units
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.observer import consistency, excitation, information, kalman, rls
 from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import (
@@ -46,20 +47,12 @@ ESTIMATES = units(
 )
 GROWING = "ljung1983 chapter 5 (forgetting that fades)"
 ADAPTIVE = "mehra1970"
+REGRESSION_CITATION = "ljung1999 section 11.2"
 CHANGE_CITATION = "basseville1993 chapter 2"
 # places in the vector
-V, W, ALPHA2, DRIVE, LEVELS, LN_C, TAU, LOAD, DELAY, LN_WIDTH = (
-    1,
-    2,
-    3,
-    4,
-    (5, 6, 7),
-    8,
-    9,
-    10,
-    11,
-    12,
-)
+V, W, ALPHA2, DRIVE = 1, 2, 3, 4
+LEVELS = (5, 6, 7)
+LN_C, TAU, LOAD, DELAY, LN_WIDTH = 8, 9, 10, 11, 12
 ORDER = LN_WIDTH + 1
 PARAMETER_COUNT = ORDER - MOTION_STATES
 INPUTS_KEPT = 4  # the longest delay is one sample less
@@ -147,6 +140,20 @@ class _Step:
     lost: SX  # variance that the sample took from each parameter
 
 
+@dataclass(frozen=True)
+class _Observed:
+    """The motion after a sample; `seen`: information of the samples that a start is taken from,
+    `reversals`: how often the motion has reversed since one is looked for.
+    """
+
+    row: rls.Regression
+    seen: SX
+    excited: excitation.Excitation
+    reversals: SX
+    rest: SX
+    rests: SX
+
+
 def _servo(entries: SX) -> kalman.Servo:
     """Read the parameters from (alpha2, b, G0, G1, G2, ln c, tau, load, delay, ln width)."""
     alpha2, b, *levels, ln_c, tau, load, delay, ln_width = ca.vertsplit(entries)
@@ -174,21 +181,8 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX, reversals: SX) 
     ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED_SAMPLES * speed * s.period)))
     ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - MOTION_STATES}"], ln_c)
     load = ca.fmax(ca.fmin(load, level), -level)
-    joint = ca.vertcat(
-        s.y1 + p.resolution / 2,
-        -r.h[0],
-        0,
-        alpha2,
-        b,
-        level,
-        0,
-        0,
-        ln_c,
-        0,
-        load,
-        0,
-        ca.log(p.width_start),
-    )
+    moving = (s.y1 + p.resolution / 2, -r.h[0], 0)
+    joint = ca.vertcat(*moving, alpha2, b, level, 0, 0, ln_c, 0, load, 0, ca.log(p.width_start))
     viscous = START_SD["alpha2"] * level / speed
     motion = (p.resolution, START_SD["v"] * speed, level)
     levels = (level, level, level)
@@ -222,16 +216,9 @@ def _filter(p: Namespace, s: Sample, time: SX) -> _Step:
     inputs = ca.vertcat(s.u, *(p[f"input{i}"] for i in range(1, INPUTS_KEPT)))
     z, covariance = kalman.predict(_servo, *kalman.read(p, ORDER), inputs, h)
     covariance = _remembered(p, covariance, time)
-    misfit = ca.fmin(
-        ca.fmax(
-            ca.fmax(
-                (p.innovation_mean - CONSISTENT_RATIO) / FULL_MISFIT,
-                p.innovation_late - RECENT_MEAN_LIMIT,
-            ),
-            0,
-        ),
-        1,
-    )
+    of_mean = (p.innovation_mean - CONSISTENT_RATIO) / FULL_MISFIT
+    of_late = p.innovation_late - RECENT_MEAN_LIMIT
+    misfit = ca.fmin(ca.fmax(ca.fmax(of_mean, of_late), 0), 1)
     early = 1 / (1 + (p.age / p.early_time) ** FADING_POWER)
     doubt = 1 / (1 + (p.age / UNTRUSTED_TIME) ** FADING_POWER)
     noise = p.drive**2 * (
@@ -317,26 +304,30 @@ def _judge(p: Namespace, h: SX, step: _Step) -> tuple[dict[str, SX], SX, SX]:
     return averages, changed, lost
 
 
-def _equations(context: EquationContext, s: Sample) -> Update:
-    p, h = context.p, s.period
-    runs = p.runs > 0
-    r = rls.regression(
-        p, s, ca.fmax(START_GATE * excitation.rms_speed(p), excitation.noise_speed(p))
-    )
+def _observed(p: Namespace, s: Sample, runs: SX) -> _Observed:
+    """Follow the motion by a sample, and collect the samples that a start is taken from."""
+    gate = ca.fmax(START_GATE * excitation.rms_speed(p), excitation.noise_speed(p))
+    r = rls.regression(p, s, gate)
     row = ca.vertcat(r.h, 1, r.z)
     seen = information.read(p, START_COLUMNS) + ca.if_else(r.counts, 1, 0) * (row @ row.T)
-    excited = excitation.advance(p, -r.h[0], h)
+    excited = excitation.advance(p, -r.h[0], s.period)
     reversals = ca.if_else(runs, 0, p.start_reversals + excited.reverses)
     # what bends bristles is no motion
     clear = ca.fmax(excitation.CLEAR_SHARE * excitation.rms_speed(p), excitation.noise_speed(p))
-    rest, rests = excitation.rest(p.rest, ca.fabs(r.h[0]) > clear, h)
+    rest, rests = excitation.rest(p.rest, ca.fabs(r.h[0]) > clear, s.period)
+    return _Observed(r, seen, excited, reversals, rest, rests)
+
+
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p, h = context.p, s.period
+    runs = p.runs > 0
+    o = _observed(p, s, runs)
     friction = p[f"joint{LEVELS[0]}"] ** 2
-    start = _start(p, s, r, seen, reversals)
-    step = _filter(p, s, excited.time)
-    averages, changed, lost = _judge(p, excited.time, step)
+    start = _start(p, s, o.row, o.seen, o.reversals)
+    step = _filter(p, s, o.excited.time)
+    averages, changed, lost = _judge(p, o.excited.time, step)
     go = ca.logic_and(ca.logic_not(runs), start.ready)
     joint, cov = kalman.read(p, ORDER)
-    waiting = ca.vertcat(s.y1, -r.h[0], joint[2:])
 
     def choose(running: SX, starting: SX, otherwise: SX) -> SX:
         return SX(ca.if_else(runs, running, ca.if_else(go, starting, otherwise)))
@@ -344,25 +335,19 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     def at_start(name: str, value: SX) -> SX:
         return SX(ca.if_else(go, value, p[name]))
 
-    prior = stack(p, "prior", ORDER)
+    prior, means = stack(p, "prior", ORDER), stack(p, "mean", PARAMETER_COUNT)
+    vector = choose(step.joint, start.joint, ca.vertcat(s.y1, -o.row.h[0], joint[2:]))
+    covariance = choose(step.covariance, ca.diag(start.spread**2), cov)
+    mean = choose(_averaged(p, step.joint, h), start.joint[MOTION_STATES:], means)
+    entries, time = step.joint[MOTION_STATES:], o.excited.time
     new = {
-        **r.next,
-        **excited.next,
-        **information.write(ca.if_else(runs, 0, seen)),
-        **kalman.write(
-            choose(step.joint, start.joint, waiting),
-            choose(step.covariance, ca.diag(start.spread**2), cov),
-        ),
-        **consistency.advance(p, step.joint[MOTION_STATES:], step.lost, p.age, excited.time, runs),
+        **o.row.next,
+        **o.excited.next,
+        **information.write(ca.if_else(runs, 0, o.seen)),
+        **kalman.write(vector, covariance),
+        **consistency.advance(p, entries, step.lost, p.age, time, runs),
         **unstack("prior", ca.if_else(go, start.spread, prior)),
-        **unstack(
-            "mean",
-            choose(
-                _averaged(p, step.joint, h),
-                start.joint[MOTION_STATES:],
-                stack(p, "mean", PARAMETER_COUNT),
-            ),
-        ),
+        **unstack("mean", mean),
         "input1": s.u,
         **{f"input{i}": p[f"input{i - 1}"] for i in range(2, INPUTS_KEPT)},
         "level": at_start("level", start.level),
@@ -371,24 +356,27 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         "runs": ca.if_else(runs, ca.logic_not(ca.logic_or(changed, lost)), go),
         "resumes": ca.if_else(runs, changed, p.resumes),
         "starts": p.starts + go,
-        "start_reversals": reversals,
-        "rest": rest,
-        "drifted": ca.if_else(runs, excitation.drifted(p.drifted, rests, friction, h), 0),
-        "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
-        "age": ca.if_else(runs, p.age + excited.time, 0),
+        "start_reversals": o.reversals,
+        "rest": o.rest,
+        "drifted": ca.if_else(runs, excitation.drifted(p.drifted, o.rests, friction, h), 0),
+        "moving": ca.if_else(runs, 0, p.moving + ca.if_else(o.row.counts, h, 0)),
+        "age": ca.if_else(runs, p.age + time, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
     }
+    signals = kalman.signals(joint, _servo(joint[MOTION_STATES:]))
+    return Update(next=new, **_published(p), signals=signals, first={"joint0": s.y1})
+
+
+def _published(p: Namespace) -> dict[str, Any]:
+    """Return the fields of an `Update` that say what is estimated, and how well."""
     deviations, found = _deviations(p), _estimates(stack(p, "mean", PARAMETER_COUNT))
-    return Update(
-        next=new,
-        estimates=found | {"delay": found["delay"] + p.delay},
-        signals=kalman.signals(joint, _servo(joint[MOTION_STATES:])),
-        first={"joint0": s.y1},
-        valid=_valid(p, deviations),
-        sd=deviations,
-        adapted=ca.logic_and(p.starts > 0, p.age > 0),
-        innovation=ca.if_else(p.runs > 0, p.innovation_sensor, 0),
-    )
+    return {
+        "estimates": found | {"delay": found["delay"] + p.delay},
+        "valid": _valid(p, deviations),
+        "sd": deviations,
+        "adapted": ca.logic_and(p.starts > 0, p.age > 0),
+        "innovation": ca.if_else(p.runs > 0, p.innovation_sensor, 0),
+    }
 
 
 def _averaged(p: Namespace, z: SX, h: SX) -> SX:
@@ -408,14 +396,8 @@ def _estimates(entries: SX) -> dict[str, SX]:
     servo = _servo(entries)
     sigma = {f"sigma{i}": each for i, each in enumerate(servo.sigma)}
     rest = {"tau": servo.tau, "width": servo.width, "load": servo.load, "delay": servo.delay}
-    return {
-        "alpha2": servo.alpha2,
-        "b": servo.b,
-        "Fc": servo.sigma[0] / servo.c,
-        **sigma,
-        "c": servo.c,
-        **rest,
-    }
+    first = {"alpha2": servo.alpha2, "b": servo.b, "Fc": servo.sigma[0] / servo.c}
+    return {**first, **sigma, "c": servo.c, **rest}
 
 
 def _deviations(p: Namespace) -> dict[str, SX]:
@@ -456,186 +438,65 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare the sensor's step, what little is known before the start, and the tuning; no value is
     taken from a plant.
     """
-
-    def own(
-        name: str,
-        symbol: str,
-        unit: str,
-        default: float,
-        low: float,
-        high: float,
-        text: str,
-        source: str,
-    ) -> Parameter:
-        return Parameter(f"{prefix}.{name}", symbol, unit, default, low, high, text, source)
-
+    modelled, shaped = (declaring(prefix, f"dixit2008 eq. ({number})") for number in (17, 24))
+    regressed, spread = (declaring(prefix, s) for s in (REGRESSION_CITATION, kalman.CITATION))
+    moving = "motion that a start is taken from, at least"
+    off = "how far that start may be off, logarithmically"
+    zero = "how far tau may be from 0 at first; 0: it stays 0"
+    wide = "its start; a linear axis in m needs about 0.05"
     return (
         *kalman.parameters(prefix),
         *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05),
-        own(
-            "start_time",
-            "T0",
-            "s",
-            0.7,
-            1e-3,
-            1e3,
-            "motion that a start is taken from, at least",
-            "ljung1999 section 11.2",
-        ),
-        own(
-            "c_start",
-            "c",
-            "1/rad",
-            100.0,
-            1e-6,
-            1e9,
-            "start of the estimate of c",
-            "dixit2008 eq. (17)",
-        ),
-        own(
-            "c_spread",
-            "sd(ln c)",
-            "1",
-            1.5,
-            1e-3,
-            10.0,
-            "how far that start may be off, logarithmically",
-            kalman.CITATION,
-        ),
-        own(
-            "tau_spread",
-            "sd(tau)",
-            "s",
-            0.001,
-            0.0,
-            1.0,
-            "how far tau may be from 0 at first; 0: it stays 0",
-            kalman.CITATION,
-        ),
-        own(
-            "delay_spread",
-            "sd(d)",
-            "1",
-            0.3,
-            0.0,
-            3.0,
-            "the same of the delay, in samples",
-            kalman.CITATION,
-        ),
-        own(
-            "width_start",
-            "w",
-            "1",
-            1.0,
-            1e-6,
-            1e6,
-            "its start; a linear axis in m needs about 0.05",
-            "dixit2008 eq. (24)",
-        ),
-        own(
+        regressed("start_time", "T0", "s", (0.7, 1e-3, 1e3), moving),
+        modelled("c_start", "c", "1/rad", (100.0, 1e-6, 1e9), "start of the estimate of c"),
+        spread("c_spread", "sd(ln c)", "1", (1.5, 1e-3, 10.0), off),
+        spread("tau_spread", "sd(tau)", "s", (0.001, 0.0, 1.0), zero),
+        spread("delay_spread", "sd(d)", "1", (0.3, 0.0, 3.0), "the same of the delay, in samples"),
+        shaped("width_start", "w", "1", (1.0, 1e-6, 1e6), wide),
+        spread(
             "width_spread",
             "sd(ln w)",
             "1",
-            0.1,
-            0.0,
-            2.0,
+            (0.1, 0.0, 2.0),
             "the same of the logarithm of the width",
-            kalman.CITATION,
         ),
-        own(
-            "noise_w",
-            "q_w",
-            "1/s",
-            6e-4,
-            0.0,
-            1e6,
-            "process noise of w over the rms acceleration squared",
-            ADAPTIVE,
-        ),
-        own(
-            "noise_v",
-            "q_v",
-            "s",
-            6e-7,
-            0.0,
-            1e6,
-            "process noise of v over the rms acceleration squared",
-            ADAPTIVE,
-        ),
-        own("early_noise", "q_0", "1", 10.0, 0.0, 1e9, "how much larger it is at a start", GROWING),
-        own("early_time", "T_q", "s", 1.5, 1e-3, 1e3, "how long, in time after reversals", GROWING),
-        own(
-            "misfit_noise",
-            "r_m",
-            "1",
-            100.0,
-            0.0,
-            1e9,
-            "how much less a position counts where the model is wrong",
-            ADAPTIVE,
-        ),
-        own(
-            "memory",
-            "k",
-            "1",
-            1.0,
-            0.0,
-            10.0,
-            "weight of the past: (time since the start / now)^k",
-            GROWING,
-        ),
-        own(
-            "longest_memory",
-            "T_m",
-            "s",
-            100.0,
-            1.0,
-            1e9,
-            "time since the start after which the memory grows no more",
-            GROWING,
-        ),
-        own(
-            "averaging",
-            "T_a",
-            "s",
-            0.3,
-            0.0,
-            1e3,
-            "time constant of the published average",
-            "polyak1992",
-        ),
-        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE_CITATION),
-        own(
-            "surprise",
-            "s",
-            "1",
-            12.0,
-            1.0,
-            1e12,
-            "recent innovations that are a change of a right model",
-            CHANGE_CITATION,
-        ),
-        own(
-            "change_ratio",
-            "rho",
-            "1",
-            1e4,
-            1.0,
-            1e12,
-            "growth of the innovations that is a change",
-            CHANGE_CITATION,
-        ),
-        own(
-            "innovation_limit",
-            "r_v",
-            "1",
-            4.0,
-            1.0,
-            1e12,
-            "mean squared innovation over the variance of the sensor up to which estimates are"
-            " valid",
-            ADAPTIVE,
-        ),
+        *_tuning(prefix),
+        *_judging(prefix),
+    )
+
+
+def _tuning(prefix: str) -> tuple[Parameter, ...]:
+    """Declare noise and memory."""
+    adaptive, growing = declaring(prefix, ADAPTIVE), declaring(prefix, GROWING)
+    noise = "process noise of {} over the rms acceleration squared"
+    misfit = "how much less a position counts where the model is wrong"
+    memory = "weight of the past: (time since the start / now)^k"
+    longest = "time since the start after which the memory grows no more"
+    return (
+        adaptive("noise_w", "q_w", "1/s", (6e-4, 0.0, 1e6), noise.format("w")),
+        adaptive("noise_v", "q_v", "s", (6e-7, 0.0, 1e6), noise.format("v")),
+        growing("early_noise", "q_0", "1", (10.0, 0.0, 1e9), "how much larger it is at a start"),
+        growing("early_time", "T_q", "s", (1.5, 1e-3, 1e3), "how long, in time after reversals"),
+        adaptive("misfit_noise", "r_m", "1", (100.0, 0.0, 1e9), misfit),
+        growing("memory", "k", "1", (1.0, 0.0, 10.0), memory),
+        growing("longest_memory", "T_m", "s", (100.0, 1.0, 1e9), longest),
+    )
+
+
+def _judging(prefix: str) -> tuple[Parameter, ...]:
+    """Declare what is published, and what counts as a change of the servo."""
+    averaged, changed = declaring(prefix, "polyak1992"), declaring(prefix, CHANGE_CITATION)
+    adaptive = declaring(prefix, ADAPTIVE)
+    mean = "time constant of the published average"
+    surprise = "recent innovations that are a change of a right model"
+    growth = "growth of the innovations that is a change"
+    most = "mean squared innovation over the variance of the sensor up to which estimates are valid"
+    return (
+        averaged("averaging", "T_a", "s", (0.3, 0.0, 1e3), mean),
+        changed("change_window", "T_c", "s", (0.3, 1e-3, 1e3), "what counts as of late"),
+        changed("surprise", "s", "1", (12.0, 1.0, 1e12), surprise),
+        changed("change_ratio", "rho", "1", (1e4, 1.0, 1e12), growth),
+        adaptive("innovation_limit", "r_v", "1", (4.0, 1.0, 1e12), most),
     )
 
 

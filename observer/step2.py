@@ -135,8 +135,7 @@ def published(
 def from_encoder(
     context: EquationContext, s: Sample, law: Callable[[Sample, SX, SX], Law]
 ) -> Update:
-    """Run least squares as step 1 and, on its alpha2 and b, the law of step 2 on the smoothed
-    velocity.
+    """Run least squares as step 1 and, on its alpha2 and b, the law of step 2 on smoothed velocity.
 
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """

@@ -1,6 +1,4 @@
-"""Approach I, filtered, from an encoder: the same least squares on velocity and input smoothed
-alike.
-"""
+"""Approach I, filtered, from an encoder: the same least squares on smoothed signals."""
 
 from __future__ import annotations
 

@@ -184,9 +184,7 @@ def free_of(entries: SX) -> SX:
 
 @dataclass(frozen=True)
 class Worth:
-    """Standard deviations, those up to which an estimate is valid, and whether the model can be
-    true.
-    """
+    """Standard deviations, limits of valid ones, and whether the model can be true."""
 
     sd: dict[str, SX]
     limits: dict[str, SX]
@@ -194,9 +192,7 @@ class Worth:
 
 
 def size_of(found: Mapping[str, SX], name: str) -> SX:
-    """Return against what an estimate is small: itself, or what it belongs to where it may be
-    zero.
-    """
+    """Return against what an estimate is small: itself, or what it belongs to if it may be 0."""
     if name == "load":
         return ca.fabs(found["Fc"])
     if name in ("sigma1", "sigma2"):
@@ -205,8 +201,7 @@ def size_of(found: Mapping[str, SX], name: str) -> SX:
 
 
 def worth(p: Namespace, fitted: Companion, own: Mapping[str, SX], given: Settings) -> Worth:
-    """Return what estimates are worth: the least squares, where a method has none of its own in
-    `own`.
+    """Return what estimates are worth: the least squares, where `own` has none.
 
     To how much they move, and to their distance from the least squares, comes what noise in v may
     do: it makes sigma_i and c too small, all by the same share; and what is lost where v is

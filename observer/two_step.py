@@ -17,9 +17,7 @@ SX = ca.SX
 def waiting(
     context: EquationContext, y: SX, order: int = 2, entries: Mapping[str, str] = zhang.ENTRIES
 ) -> dict[str, SX]:
-    """Return the states of step 2 before it starts, with the first one following the
-    measurement.
-    """
+    """Return the states of step 2 before it starts, the first one following the measurement."""
     x, ups, theta, mean = zhang.read(context.p, order, entries)
     return zhang.write(ca.vertcat(y, x[1:]), ups, theta, mean, SX(0))
 

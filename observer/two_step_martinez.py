@@ -1,6 +1,4 @@
-"""Approach II from an encoder alone: least squares for step 1, the switching observer for step
-2.
-"""
+"""Approach II from an encoder alone: least squares in step 1, a switching observer in step 2."""
 
 from __future__ import annotations
 

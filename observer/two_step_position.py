@@ -1,6 +1,4 @@
-"""Approach II from an encoder alone: least squares for step 1, the third-order observer for step
-2.
-"""
+"""Approach II from an encoder alone: least squares in step 1, a third-order observer in step 2."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The filter shared by Besancon's observer and its matrix-gain form, computed exactly over a
-sample.
+"""The filter shared by Besancon's observer and its matrix-gain form, exact over a sample.
 
 Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam
 Lam^-1 K0,
@@ -26,6 +25,7 @@ SX = ca.SX
 CITATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
 ESTIMATES = units("sigma0", "sigma1", "sigma2", "c")
 ENTRIES = ESTIMATES | {"c_load": "1/s2"}  # c times the load torque over the inertia
+Memory = tuple[SX, SX, SX]  # x^, Ups, theta^
 ENTRY_SCALES = (1000.0, 1000.0, 1000.0, 100.0, 100.0)  # round numbers, not taken from a plant
 
 

@@ -5,13 +5,14 @@ of measured servos.
 
     result = bristle.run("quick", out="out")                      # co-simulate a scenario
     found = bristle.diagnose("model.toml", ["a.csv", "b.csv"])    # what does the model lack?
-    how_far = bristle.validate("model.toml", "c.csv", out="out")  # over records it was not fitted to
+    how_far = bristle.validate("model.toml", "c.csv", out="out")  # over records not fitted to
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
-    paper = bristle.reproduce("out")                              # the figures and numbers of the paper
+    paper = bristle.reproduce("out")                              # figures and numbers of the paper
 
-    many = bristle.sweep("quick", {"sensor": ["clean", "encoder"]}, seeds=range(1, 9), out="store")  # many runs, a row each
+    # many runs, a row each
+    many = bristle.sweep("quick", {"sensor": ["clean", "encoder"]}, seeds=range(1, 9), out="store")
 
-    result.to_pandas("estimates"), result.to_xarray()             # with pip install 'bristle[frames]'
+    result.to_pandas("estimates"), result.to_xarray()  # with pip install 'bristle[frames]'
 
 The functions do what the commands of the same names do. The rest of the library is imported when a
 function first needs it.
@@ -129,14 +130,14 @@ def run(
         written then. A simulation that diverges is no error: its verdict is ``"fail"``.
     """
     from bristle.common.output import plain
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.run.run import run as run_scenario
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.result import Result
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
     chosen = seed if seed is None else as_whole_number("seed", seed)
-    options = Options(
+    options = RunOptions(
         as_choice("fmi", fmi, FMI_VERSIONS),
         as_choice("kind", kind, KINDS),
         _overrides(overrides),
@@ -202,7 +203,7 @@ def sweep(
         given, or pyarrow is not installed (``pip install 'bristle[parquet]'``). A run that fails is
         no error.
     """
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.catalogue import find_scenario
     from bristle.harness.scenario.vary import seeds_of
     from bristle.harness.sweep.design import SAMPLINGS, design
@@ -212,50 +213,41 @@ def sweep(
     from bristle.harness.sweep.sweep import run_sweep
     from bristle.result import SweepResult
 
-    if not isinstance(vary or {}, Mapping):
+    specs = _overrides(_varied(vary or {}))
+    if not isinstance(seeds, Iterable):
+        raise BristleError(
+            f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'"
+        )
+    if isinstance(seeds, str):
+        wanted = seeds_of(seeds)
+    else:
+        wanted = [as_whole_number("seeds", seed) for seed in seeds]
+    number = None if samples is None else as_whole_number("samples", samples)
+    drawn = as_choice("sampling", sampling, SAMPLINGS)
+    asked = design(specs, wanted, number, drawn, as_whole_number("sampling_seed", sampling_seed))
+    store = Store(as_path("out", out))
+    path = find_scenario(as_path("scenario", scenario))
+    prepared = prepare_sweep(path, asked, RunOptions(overrides=_overrides(overrides)))
+    threads = os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs)
+    means = Means(threads, cluster, bool(resume), "bristle.sweep")
+    found = run_sweep(prepared, asked, store, means)
+    return SweepResult(store.path, found.verdicts, found.kept)
+
+
+def _varied(vary: Mapping[str, str | Sequence[object]]) -> dict[str, str | list[object]]:
+    """Return the values of each key, as lists or texts."""
+    if not isinstance(vary, Mapping):
         raise BristleError(
             f'vary is a {type(vary).__name__}; give a dict such as {{"sensor": ["clean",'
             ' "encoder"]}'
         )
-    for path, spec in (vary or {}).items():
+    for path, spec in vary.items():
         if not isinstance(spec, str | Sequence):
             raise BristleError(
                 f"vary[{path!r}] is {spec!r}; give a list of values, or text such as"
                 " 'uniform(1, 2)'"
             )
-    if not isinstance(seeds, Iterable):
-        raise BristleError(
-            f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'"
-        )
-    specs = _overrides(
-        {path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()}
-    )
-    wanted = (
-        seeds_of(seeds)
-        if isinstance(seeds, str)
-        else [as_whole_number("seeds", seed) for seed in seeds]
-    )
-    asked = design(
-        specs,
-        wanted,
-        None if samples is None else as_whole_number("samples", samples),
-        as_choice("sampling", sampling, SAMPLINGS),
-        as_whole_number("sampling_seed", sampling_seed),
-    )
-    store = Store(as_path("out", out))
-    prepared = prepare_sweep(
-        find_scenario(as_path("scenario", scenario)),
-        asked,
-        Options(overrides=_overrides(overrides)),
-    )
-    means = Means(
-        os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs),
-        cluster,
-        bool(resume),
-        "bristle.sweep",
-    )
-    found = run_sweep(prepared, asked, store, means)
-    return SweepResult(store.path, found.verdicts, found.kept)
+    return {path: spec if isinstance(spec, str) else list(spec) for path, spec in vary.items()}
 
 
 def reproduce(

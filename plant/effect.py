@@ -165,9 +165,7 @@ class Evidence:
     def best(
         self, options: Sequence[float], columns: Callable[[float], Array], count: int
     ) -> list[tuple[float, Array]]:
-        """Return the options whose torques gain most, each with its coefficients; the best
-        first.
-        """
+        """Return the options whose torques gain most, with their coefficients; the best first."""
         found = [(*self.regress(columns(option)), option) for option in options]
         found.sort(key=lambda each: -each[1])
         return [(option, coefficients) for coefficients, _, option in found[:count]]
@@ -201,9 +199,7 @@ class RecordedMotion:
 
     @property
     def two_periods(self) -> float:
-        """The number of periods [1/rad] of which two fit into a turn or into the range
-        travelled.
-        """
+        """The number of periods [1/rad] of which two fit into a turn or the range travelled."""
         return 2 * 2 * np.pi / self.turn
 
 
@@ -463,6 +459,20 @@ def arrange(effects: Sequence[E]) -> list[E]:
     return sorted(effects, key=lambda effect: (effect.order, effect.name))
 
 
+@dataclass(frozen=True)
+class _Ways:
+    """What holds for forward and for backward motion; `even` where both are the same expression."""
+
+    forward: SX
+    backward: SX
+    even: bool
+
+    def joined(self, other: _Ways, join: Callable[[SX, SX], SX]) -> _Ways:
+        """Return what a function makes of this and another, each way."""
+        forward, even = join(self.forward, other.forward), self.even and other.even
+        return _Ways(forward, forward if even else join(self.backward, other.backward), even)
+
+
 class Effects:
     """The effects of one servo at work: its slots in turn, each with what is computed up to that
     point.
@@ -513,46 +523,47 @@ class Effects:
         """Return (friction torque, bound of set-valued friction, bound against backward motion
         where it differs).
         """
-        forward = backward = scale
+        smooth = friction.bound is None and not SX(friction.force).is_zero()
+        if friction.bound is None and not smooth:
+            self._refuse("factor", f"scales dry friction, which law '{law.name}' does not have")
+        factor, added = self._factor(scale), self._added(motor)
+        if smooth and added is not None:
+            if "Fc" not in friction.true:
+                self._refuse("bound", f"needs a law with a Coulomb level Fc, not '{law.name}'")
+            level = friction.true["Fc"] * inertia
+            factor = factor.joined(added, lambda own, more: own + more / level)
+        if smooth:
+            share = factor.forward
+            if not factor.even:
+                share = ca.if_else(friction.force > 0, factor.forward, factor.backward)
+            return share * friction.force, None, None
+        force = scale * friction.force
+        if friction.bound is None and added is None:
+            return force, None, None
+        own = SX(0) if friction.bound is None else friction.bound
+        more = added if added is not None else _Ways(SX(0), SX(0), even=True)
+        bound = factor.joined(more, lambda share, extra: share * own + extra)
+        return force, bound.forward, None if bound.even else bound.backward
+
+    def _refuse(self, slot: str, why: str) -> None:
+        """Raise `BristleError` if an effect fills a slot that the law has no use for."""
+        for effect, _ in self.having(slot):
+            raise BristleError(f"effect '{effect.name}' {why}; choose another law")
+
+    def _factor(self, scale: SX) -> _Ways:
+        """Return the factor of the friction."""
+        found = _Ways(scale, scale, even=True)
         for effect, c in self.having("factor"):
-            if friction.bound is None and SX(friction.force).is_zero():
-                raise BristleError(
-                    f"effect '{effect.name}' scales dry friction, which law '{law.name}' does not"
-                    " have; choose another law"
-                )
             assert effect.factor is not None
             up, down = effect.factor(c)
-            alike = forward is backward and up is down
-            forward, backward = forward * up, backward * down
-            backward = forward if alike else backward
-        extra = [
-            (e, *e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None
-        ]
-        more, back = (sum((bounds[side] for _, *bounds in extra), SX(0)) for side in (0, 1))
-        even = all(up is down for _, up, down in extra)
-        if friction.bound is None and not SX(friction.force).is_zero():
-            if extra and "Fc" not in friction.true:
-                name = extra[0][0].name
-                raise BristleError(
-                    f"effect '{name}' needs a law with a Coulomb level Fc, not '{law.name}'; choose"
-                    " another law"
-                )
-            if extra:
-                level = friction.true["Fc"] * inertia
-                alike = even and forward is backward
-                forward, backward = forward + more / level, backward + back / level
-                backward = forward if alike else backward
-            factor = (
-                forward
-                if forward is backward
-                else ca.if_else(friction.force > 0, forward, backward)
-            )
-            return factor * friction.force, None, None
-        if friction.bound is None and not extra:
-            return scale * friction.force, None, None
-        own = SX(0) if friction.bound is None else friction.bound
-        upper, lower = forward * own + more, backward * own + back
-        return scale * friction.force, upper, None if even and forward is backward else lower
+            found = found.joined(_Ways(up, down, up is down), lambda own, more: own * more)
+        return found
+
+    def _added(self, motor: SX) -> _Ways | None:
+        """Return the friction that is added to the bound; None if no effect adds any."""
+        found = [e.bound(c) for e, c in self.having("bound", torque=motor) if e.bound is not None]
+        more, back = (sum((bounds[side] for bounds in found), SX(0)) for side in (0, 1))
+        return _Ways(more, back, all(up is down for up, down in found)) if found else None
 
     def bristles(self, law: FrictionLaw, bound: SX | None) -> tuple[SX, SX] | None:
         """Return (stiffness, damping) of bristles where an effect puts them under the law's

@@ -71,8 +71,7 @@ class FrictionLaw:
 
 
 def stribeck_curve(p: Namespace, v: SX) -> SX:
-    """Return the friction level [N.m] that falls from Fs at rest to Fc: Fc + (Fs - Fc)
-    exp(-(v/vs)^2).
+    """Return the friction level [N.m] falling from Fs to Fc: Fc + (Fs - Fc) exp(-(v/vs)^2).
 
     Source: armstrong1994 (Stribeck curve, Gaussian form).
     """

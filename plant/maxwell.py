@@ -28,14 +28,13 @@ class Element:
 
 
 def element(
-    force: SX, slip: SX, speed: SX, stiffness: SX, limit: SX, sliding: SX, sizes: tuple[SX, SX]
+    force: SX, slip: SX, speed: SX, limit: SX, rates: tuple[SX, SX], sizes: tuple[SX, SX]
 ) -> Element:
-    """Return an element of the given force, whose mode `slip` is the direction it slips in, 0 while
-    it sticks.
+    """Return an element whose mode `slip` is the direction it slips in, 0 while it sticks.
 
-    It sticks, with the rate `stiffness speed`, until the force in the direction of motion reaches
-    the limit; then it slips, with the rate `sliding`, until the motion reverses. `sizes` are those
-    of the force and of the speed.
+    It sticks, with the first of the `rates`, until its force in the direction of motion reaches the
+    limit; then it slips, with the second, until the motion reverses. `sizes` are those of the force
+    and of the speed.
 
     Source: albender2005 (generalised Maxwell-slip element), lampaert2002 (Maxwell-slip element).
     """
@@ -49,7 +48,7 @@ def element(
         ca.if_else(sticks, (way * force - limit) / sizes[0], past) for way in (1, -1)
     )
     return Element(
-        ca.if_else(sticks, stiffness * speed, sliding),
+        ca.if_else(sticks, *rates),
         (following, past, Directed(forward, backward, speed)),
     )
 

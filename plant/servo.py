@@ -19,66 +19,30 @@ from bristle.model.variables import Parameter, State, Variable
 from bristle.plant.effect import LONGEST_DELAY, Effects, Extension, arrange
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
-from bristle.plant.law import FrictionLaw
+from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.signal_effects import extension
 
 __all__ = ["servo", "servo_program"]
 
 SX = ca.SX
 
+RIG = "dixit2008 section IV-A"
+DRIVE, VISCOUS, TWO_BODIES = "dixit2008 eq. (7)", "dixit2008 eq. (8)", "spong2006 chapter 6"
+_BEHIND = "how far the load is behind the motor at the start"
+_SLOWER = "how much slower the load is at the start"
 J = Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7), section IV-A")
-B = Parameter(
-    "b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the drive", "dixit2008 eq. (7)"
-)
-A2 = Parameter(
-    "a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", "dixit2008 eq. (8)"
-)
-U_MAX = Parameter(
-    "u_max",
-    "u_max",
-    "V",
-    24.0,
-    0.0,
-    1e6,
-    "largest voltage the drive can give",
-    "dixit2008 section IV-A",
-)
+B = Parameter("b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the drive", DRIVE)
+A2 = Parameter("a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", VISCOUS)
+U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage the drive can give", RIG)
 THETA_START = Parameter(
-    "theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)"
+    "theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", DRIVE
 )
-V_START = Parameter(
-    "v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", "dixit2008 eq. (7)"
-)
-TWIST_START = Parameter(
-    "twist_start",
-    "e0",
-    "rad",
-    0.0,
-    -1e6,
-    1e6,
-    "how far the load is behind the motor at the start",
-    "spong2006 chapter 6",
-)
-TWISTING_START = Parameter(
-    "twisting_start",
-    "w0",
-    "rad/s",
-    0.0,
-    -1e4,
-    1e4,
-    "how much slower the load is at the start",
-    "spong2006 chapter 6",
-)
+V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", DRIVE)
+TWIST_START = Parameter("twist_start", "e0", "rad", 0.0, -1e6, 1e6, _BEHIND, TWO_BODIES)
+TWISTING_START = Parameter("twisting_start", "w0", "rad/s", 0.0, -1e4, 1e4, _SLOWER, TWO_BODIES)
 LOAD_STARTS = (TWIST_START, TWISTING_START)  # start values of a servo with a second inertia
 ENCODER_COUNTS = Parameter(
-    "encoder.counts",
-    "N",
-    "1",
-    40000.0,
-    1.0,
-    1e9,
-    "encoder counts in a turn",
-    "dixit2008 section IV-A",
+    "encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", RIG
 )
 
 
@@ -102,30 +66,15 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Extension] =
 def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> System:
     system = System(law.name, _described(law.description, ordered))
     j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
-    theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
+    start = system.parameter(THETA_START), system.parameter(V_START)
     for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
         system.parameter(parameter)
-    u = system.input(Variable("u", "V", "voltage asked of the drive", minimum=-1e9, maximum=1e9))
-    tau_load = system.input(
-        Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9)
-    )
-    scale = Variable(
-        "load_scale",
-        "1",
-        "normal load over nominal; scales dry friction",
-        1.0,
-        minimum=0.0,
-        maximum=1e6,
-    )
-    load_scale = system.input(scale)
-    theta = system.state(State("theta", "rad", "position", initial=theta_start))
-    v = system.state(State("v", "rad/s", "velocity", initial=v_start))
+    u, tau_load, load_scale = _inputs(system)
+    theta = system.state(State("theta", "rad", "position", initial=start[0]))
+    v = system.state(State("v", "rad/s", "velocity", initial=start[1]))
     p = system.namespace(f"{law.name}.")
-    for state in law.states:
-        system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
-    for mode in law.modes:
-        system.mode(mode)
-    _declare_states(system, ordered)
+    _declare_states(system, law, ordered)
+    # torques
     work = Effects(system, ordered, theta, v)
     friction = law.equations(p, v)
     asked = work.input("command", u)
@@ -134,13 +83,10 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     bristles = work.bristles(law, friction.bound)
     torque, inertia = _bodies(system, work, j, motor, tau_load)
     smooth = dry + a2 * v
+    # rates
     system.rate("theta", v)
     system.rate("v", (torque - smooth) / inertia)
-    for name, rate in friction.rates.items():
-        system.rate(name, rate)
-    for name, (following, *past) in friction.switches.items():
-        system.update(name, following)
-        system.margin(name, *past)
+    _declare_rates(system, friction)
     force = smooth
     if bound is not None and bristles is not None:
         force = smooth + _bristles(system, inertia, bound, backward, *bristles)
@@ -149,40 +95,33 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
         lower = bound if backward is None else backward
         # at rest the friction is whatever holds the shaft, up to the bound
         sliding = ca.if_else(v > 0, bound, -lower)
-        force = smooth + ca.if_else(
-            v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding
-        )
-    theta_shown, v_shown = work.shown(theta, v)
-    if any(effect.follow for effect in ordered):
-        work.follow(system.end("theta"), system.end("v"))
-    first = ca.vertcat(*work.shown(theta_start, v_start))
-    at_start = system.vector(
-        [f"{effect.name}.{state.name}" for effect in ordered for state in effect.states]
-    )
-    begin = ca.vertcat(*(SX(state.initial) for effect in ordered for state in effect.states))
-    theta_first, v_first = ca.vertsplit(
-        ca.substitute(first, at_start, begin) if begin.numel() else first
-    )
-    delay = work.delay()
-    position = _output(
-        system, Variable("theta", "rad", "position"), theta_shown, theta_first, delay
-    )
-    _output(system, Variable("v", "rad/s", "velocity"), v_shown, v_first, delay)
-    _output(
-        system, Variable("F", "N.m", "friction torque, viscous part included"), force, SX(0), delay
-    )
-    if encoder:
-        _encoder(system, position, theta_first)
+        holding = ca.fmin(ca.fmax(torque - smooth, -lower), bound)
+        force = smooth + ca.if_else(v == 0, holding, sliding)
+    # what is measured, and what is true
+    delay = _outputs(system, work, ordered, start, force, encoder)
     lost = {name for effect in ordered for name in effect.without_truth}
-    true = {
-        "alpha2": a2 / j,
-        "b": b / j,
-        "load": work.load() / j,
-        "delay": SX(0) if delay is None else delay,
-        **friction.true,
-    }
+    load, delayed = work.load() / j, SX(0) if delay is None else delay
+    true = {"alpha2": a2 / j, "b": b / j, "load": load, "delay": delayed, **friction.true}
     _true_values(system, {name: x for name, x in true.items() if name not in lost})
     return system
+
+
+def _inputs(system: System) -> tuple[SX, SX, SX]:
+    """Declare the inputs: voltage, external torque, factor of the dry friction."""
+    u = Variable("u", "V", "voltage asked of the drive", minimum=-1e9, maximum=1e9)
+    torque = Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9)
+    scaled = "normal load over nominal; scales dry friction"
+    scale = Variable("load_scale", "1", scaled, 1.0, minimum=0.0, maximum=1e6)
+    return system.input(u), system.input(torque), system.input(scale)
+
+
+def _declare_rates(system: System, friction: Friction) -> None:
+    """Give the states and modes of the law their equations."""
+    for name, rate in friction.rates.items():
+        system.rate(name, rate)
+    for name, (following, *past) in friction.switches.items():
+        system.update(name, following)
+        system.margin(name, *past)
 
 
 def _described(what: str, effects: Sequence[Extension]) -> str:
@@ -194,10 +133,13 @@ def _described(what: str, effects: Sequence[Extension]) -> str:
     return " with ".join([what, *(effect.name for effect in effects)]) + said
 
 
-def _declare_states(system: System, effects: Sequence[Extension]) -> None:
-    """Declare the states of the effects under their names, with start values where these follow
-    from parameters.
-    """
+def _declare_states(system: System, law: FrictionLaw, effects: Sequence[Extension]) -> None:
+    """Declare the states of the law and, under their names, of the effects."""
+    p = system.namespace(f"{law.name}.")
+    for state in law.states:
+        system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
+    for mode in law.modes:
+        system.mode(mode)
     for effect in effects:
         p = system.namespace(f"{effect.name}.")
         for state in effect.states:
@@ -205,6 +147,36 @@ def _declare_states(system: System, effects: Sequence[Extension]) -> None:
         for state in effect.sampled:
             initial = state.initial(p) if callable(state.initial) else state.initial
             system.sampled(replace(state, name=f"{effect.name}.{state.name}", initial=initial))
+
+
+def _outputs(
+    system: System,
+    work: Effects,
+    effects: Sequence[Extension],
+    start: tuple[SX, SX],
+    force: SX,
+    encoder: bool,
+) -> SX | None:
+    """Declare what is measured; return its delay, if it has one."""
+    theta, v = system.symbols["theta"], system.symbols["v"]
+    theta_shown, v_shown = work.shown(theta, v)
+    if any(effect.follow for effect in effects):
+        work.follow(system.end("theta"), system.end("v"))
+    # what is shown at the start, where the effects' states have their start values
+    first = ca.vertcat(*work.shown(*start))
+    names = [f"{effect.name}.{state.name}" for effect in effects for state in effect.states]
+    begin = ca.vertcat(*(SX(state.initial) for effect in effects for state in effect.states))
+    at_start = ca.substitute(first, system.vector(names), begin) if begin.numel() else first
+    theta_first, v_first = ca.vertsplit(at_start)
+    delay = work.delay()
+    position = Variable("theta", "rad", "position")
+    shown = _output(system, position, theta_shown, theta_first, delay)
+    _output(system, Variable("v", "rad/s", "velocity"), v_shown, v_first, delay)
+    torque = Variable("F", "N.m", "friction torque, viscous part included")
+    _output(system, torque, force, SX(0), delay)
+    if encoder:
+        _encoder(system, shown, theta_first)
+    return delay
 
 
 def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX | None) -> SX:
@@ -217,18 +189,11 @@ def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX 
     if delay is None:
         system.output(variable, value)
         return value
-    line = [
-        system.sampled(
-            State(
-                f"{variable.name}_{i}",
-                variable.unit,
-                f"{variable.name} of {i} samples before",
-                initial=start,
-            ),
-            after=True,
-        )
-        for i in range(LONGEST_DELAY + 1)
-    ]
+    line = []
+    for i in range(LONGEST_DELAY + 1):
+        meaning = f"{variable.name} of {i} samples before"
+        state = State(f"{variable.name}_{i}", variable.unit, meaning, initial=start)
+        line.append(system.sampled(state, after=True))
     following = [value, *line[:-1]]
     for i, sample in enumerate(following):
         system.update(f"{variable.name}_{i}", sample)

@@ -188,22 +188,29 @@ def _times(files: Files, asked: str | None) -> list[Candidate]:
     for name in [asked] if asked else files.names:
         h = files.heading(name)
         series = [table[name][np.isfinite(table[name])] for table in files.tables.values()]
-        rises = all(
-            len(x) > 1 and (np.diff(x) >= 0).all() and len(np.unique(x)) > DISTINCT_SHARE * len(x)
-            for x in series
-        )
-        if not asked and not rises:
+        if not asked and not all(map(_rises, series)):
             continue
         steps = np.concatenate([np.diff(x) for x in series])
         scatter = float(np.mean(np.abs(steps / (np.median(steps) or 1.0) - 1.0)))
         candidate = _time(h, files.clock(name), series[0], scatter)
         if asked or files.clock(name) or h.quantity == "time":
             found.append(candidate)
-        # no number of the sample
-        elif scatter < EVEN_SCATTER and not ((steps == 1.0).all() and series[0][0] in (0.0, 1.0)):
+        elif scatter < EVEN_SCATTER and not _numbered(steps, series[0]):
             doubt = f"no column is called a time; '{name}' rises evenly"
             even.append(replace(candidate, rank=UNKNOWN_RANK, doubts=(doubt, *candidate.doubts)))
     return found or even
+
+
+def _rises(values: Array) -> bool:
+    """Return whether values rise like a time: never back, and hardly ever the same."""
+    if len(values) < 2 or not (np.diff(values) >= 0).all():
+        return False
+    return len(np.unique(values)) > DISTINCT_SHARE * len(values)
+
+
+def _numbered(steps: Array, values: Array) -> bool:
+    """Return whether values are the numbers of the samples."""
+    return bool((steps == 1.0).all()) and values[0] in (0.0, 1.0)
 
 
 def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -123,28 +124,22 @@ def heading(name: str, unit: str | None = None) -> Heading:
         label, symbol = _unit_in(name)
     words = _words(label)
     joined = "".join(words)  # i_q is one name
-    found = [
-        quantity
-        for word in ([joined] if joined in QUANTITIES else words)
-        if (quantity := _quantity(word))
-    ]
-    # the last word decides, "motor current"; a unit decides where a name says two things, "position
-    # speed"
-    named = found[-1] if found else None
+    found = _quantities([joined] if joined in QUANTITIES else words)
     by_unit = None if symbol is None else quantity_of(symbol)
-    quantity = (
-        by_unit if by_unit and (named is None or by_unit in found or len(label) == 1) else named
-    )
-    if (
-        symbol is None
-        and quantity == "velocity"
-        and any(word.endswith(TURNS_A_MINUTE) for word in words)
-    ):
+    quantity = found[-1] if found else None  # the last word decides, "motor current"
+    # a unit decides where a name says two things, "position speed"
+    if by_unit and (not found or by_unit in found or len(label) == 1):
+        quantity = by_unit
+    turns = any(word.endswith(TURNS_A_MINUTE) for word in words)
+    if symbol is None and quantity == "velocity" and turns:
         symbol = "rpm"
-    setpoint = any(word in SETPOINTS or word.startswith("soll") for word in words)
-    return Heading(
-        name, symbol, quantity, named is not None, setpoint, any(_unwanted(word) for word in words)
-    )
+    setpoint, unwanted = any(map(_set, words)), any(map(_unwanted, words))
+    return Heading(name, symbol, quantity, bool(found), setpoint, unwanted)
+
+
+def _quantities(words: Sequence[str]) -> list[str]:
+    """Return the quantities that words name."""
+    return [quantity for word in words if (quantity := _quantity(word))]
 
 
 def without_unit(name: str) -> str:
@@ -191,6 +186,10 @@ def _words(label: str) -> list[str]:
     """
     spaced = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", label)
     return [word.lower() for word in re.findall(r"[^\W\d_]+(?:-[^\W\d_]+)?", spaced)]
+
+
+def _set(word: str) -> bool:
+    return word in SETPOINTS or word.startswith("soll")
 
 
 def _unwanted(word: str) -> bool:

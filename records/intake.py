@@ -211,9 +211,7 @@ def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return the stem of each file, with as many of the folders before it as tell it from the
-    others.
-    """
+    """Return the stem of each file, with as many folders before it as tell it from others."""
     return [
         _name(path, [other for k, other in enumerate(paths) if k != number])
         for number, path in enumerate(paths)

@@ -64,8 +64,7 @@ def _refined(gap: float, parts: float, gaps: Array, distinct: Array) -> float | 
 
 
 def noise_step(values: Array) -> float:
-    """Return the step of a sensor whose rounding would be as noisy as the white noise of these
-    values.
+    """Return the step of a sensor whose rounding would be as noisy as these values are.
 
     The variance of differences of order k of white noise is binomial(2k, k) times that of the
     noise; that of rounding is a twelfth of the square of its step. The mean deviation takes little

@@ -81,9 +81,7 @@ def report_steps(layout: Layout, records: list[Record]) -> list[Record]:
 
 
 def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
-    """Refuse an output whose range is a few steps of its resolution, or that is nothing but
-    noise.
-    """
+    """Refuse an output whose range is a few steps of its resolution, or that is noise only."""
     span, unit = float(np.ptp(raw.y)), layout.output_unit
     if span <= MOTIONLESS_STEPS * (resolution or 0.0) or span <= 1e-12 * float(
         np.max(np.abs(raw.y))
@@ -149,9 +147,7 @@ def repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
 
 
 def _repair_spikes(raw: Raw, resolution: float | None) -> None:
-    """Replace up to three samples that jump away and back, which no servo does, by
-    interpolation.
-    """
+    """Replace up to three samples that jump away and back, as no servo does, by interpolation."""
     d, near = np.diff(raw.y), SPIKE_NEIGHBOURS
     size = np.abs(d)
     floor = max(SPIKE_STEPS * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
@@ -183,9 +179,7 @@ def _repair_spikes(raw: Raw, resolution: float | None) -> None:
 
 
 def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
-    """Unwrap a position that jumps by one and the same amount and never leaves a range of that
-    size.
-    """
+    """Unwrap a position that jumps by one amount and never leaves a range of that size."""
     d = np.diff(raw.y)
     span = float(np.ptp(raw.y))
     jumps = np.flatnonzero(np.abs(d) > 0.5 * span)
@@ -194,21 +188,10 @@ def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     rest = np.abs(np.delete(d, jumps))
     if np.max(rest, initial=0.0) > 0.25 * span:
         return False
-    sizes = np.abs(
-        d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)])
-    )
-    full, turn = 2.0 * np.pi, float(np.median(sizes))
-    known = next(
-        (
-            size
-            for size in ((full, 360.0, 1.0) if not layout.linear else ())
-            if abs(turn - size) < 0.02 * size
-        ),
-        None,
-    )
-    counter = None if known else _counter(turn, resolution)
-    turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
-    sure = known == full or counter is not None
+    before, after = np.maximum(jumps - 1, 0), np.minimum(jumps + 1, len(d) - 1)
+    sizes = np.abs(d[jumps] - 0.5 * (d[before] + d[after]))
+    full = 2.0 * np.pi
+    turn, sure = _turn(float(np.median(sizes)), layout.linear, resolution)
     fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
     # a single jump of another size may be a lost reading
     if len(jumps) < 2 and not (fits and sure):
@@ -220,18 +203,26 @@ def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
         return False
     if not fits:
         return False
-    raw.y = raw.y + np.concatenate(
-        [[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))]
-    )
+    turns = np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0)
+    raw.y = raw.y + np.concatenate([[0.0], np.cumsum(turns)])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    doubt = (
-        f", but a turn has {full:.4g} rad: check [output] unit ('{layout.output.unit}') and scale"
-    )
-    raw.say(
-        f"position wraps by {turn:.6g} {layout.output_unit} {first};"
-        f" unwrapped{'' if layout.linear or sure else doubt}"
-    )
+    said = f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped"
+    if not (layout.linear or sure):
+        unit = layout.output.unit
+        said += f", but a turn has {full:.4g} rad: check [output] unit ('{unit}') and scale"
+    raw.say(said)
     return True
+
+
+def _turn(jump: float, linear: bool, resolution: float | None) -> tuple[float, bool]:
+    """Return the range that a jump is nearest to, and whether it is one that sensors have."""
+    known = () if linear else ((2.0 * np.pi, True), (360.0, False), (1.0, False))
+    for size, sure in known:
+        if abs(jump - size) < 0.02 * size:
+            return size, sure
+    if (counter := _counter(jump, resolution)) is not None:
+        return counter, True
+    return resolution * round(jump / resolution) if resolution else jump, False
 
 
 def _counter(turn: float, resolution: float | None) -> float | None:

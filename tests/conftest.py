@@ -1,20 +1,26 @@
-"""What all tests share, and the end of a run: pythonfmu's libraries may not have the last word."""
+"""What all tests share, which of them run, and the end of a run: pythonfmu's libraries may not have
+the last word.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
+import subprocess
 import sys
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 
 from bristle.common.errors import BristleError
+from bristle.model.compiler import FLAGS_VARIABLE
 
+ONE_SLOW_IN = 4  # of the slow tests of a file, a share has one in so many
 SCENARIO = """
 duration = "1 s"
 [plant]
@@ -34,22 +40,85 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     session.config.stash[_status] = int(exitstatus)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that have most slow tests, then most tests, and mark as slow what
-    `sampled` leaves out of a quick run.
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("bristle")
+    group.addoption("--all", action="store_true", help="run every test, whatever is sampled")
+    group.addoption(
+        "--share", metavar="NAME", help="run the share of the sampled tests that NAME draws"
+    )
+    group.addoption(
+        "--one-in", type=int, default=1, metavar="N", help="of a share's other tests, run one in N"
+    )
 
-    A file goes to one worker: none is left with a long one at the end.
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose the share once: the processes of pytest-xdist get it as an option.
+
+    All is compiled in half the time, but for a run of all tests: the digits are the same, which a
+    test of the compiler asserts.
     """
+    option = config.option
+    if not option.all:
+        os.environ.setdefault(FLAGS_VARIABLE, "-O1")
+    named = option.keyword or config.args_source is not pytest.Config.ArgsSource.TESTPATHS
+    if option.share is None and not option.all and not named:
+        option.share = _commit(config.rootpath)
+
+
+def _commit(root: Path) -> str:
+    """Return the first digits of the commit that is checked out; without one, a fixed name."""
+    command = ["git", "-C", str(root), "rev-parse", "--short=8", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "none"
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Say which tests run, and how to run the same again."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    share = session.config.option.share
+    if reporter and share is not None:
+        reporter.write_line(
+            f"share {share} of the sampled tests; again: --share {share}, all tests: --all"
+        )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what the share does not draw, and begin with the files that have most slow tests,
+    then most tests: no process is left with a long one at the end.
+    """
+    if config.option.share is not None:
+        left_out = _left_out(items, config.option.share, config.option.one_in)
+        config.hook.pytest_deselected(items=[item for item in items if item in left_out])
+        items[:] = [item for item in items if item not in left_out]
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     number = Counter(item.path for item in items)
     items.sort(key=lambda item: (-slow[item.path], -number[item.path]))
-    seen: Counter[str] = Counter()
+
+
+def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.Item]:
+    """Return the tests that are not in a share.
+
+    Of the sets of a test with `sampled(n)`, and of the slow and the other tests of a file, one in
+    so many is: those whose place has one remainder, which the share and the name of the group draw.
+    """
+    groups: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
-        name, sampled = item.nodeid.partition("[")[0], item.get_closest_marker("sampled")
-        if sampled and seen[name] % sampled.args[0]:
-            item.add_marker(pytest.mark.slow)
-        seen[name] += 1
+        file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
+        if sampled := item.get_closest_marker("sampled"):
+            group = (test, sampled.args[0] * one_in)
+        else:
+            group = (file, ONE_SLOW_IN if item.get_closest_marker("slow") else one_in)
+        groups.setdefault(group, []).append(item)
+    left_out = set()
+    for (name, n), group_items in groups.items():
+        drawn = crc32(f"{share} {name}".encode()) % min(n, len(group_items))
+        left_out.update(item for k, item in enumerate(group_items) if k % n != drawn)
+    return left_out
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -1,7 +1,7 @@
 """Two versions of the rules on the same blind cases: figures side by side, and the cases whose
 answers differ.
 
-    compare.py OLD NEW          folders of `run.py diagnose`, made from copies of one generated folder
+    compare.py OLD NEW          folders of `run.py diagnose`, from copies of one generated folder
 
 Only cases with a result in both folders count. The tables are printed;
 benchmarks/results/criterion.md has those of the criterion.

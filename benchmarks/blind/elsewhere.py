@@ -243,13 +243,15 @@ test with one thing changed:
 
 {differs}
 
-| condition | effects | named right | a wrong name | tie | nothing named | controls named | wrong names |
+| condition | effects | named right | a wrong name | tie | nothing named | controls named |\
+ wrong names |
 |---|---|---|---|---|---|---|---|
 {rows}
 
-Named right: exactly the class of what is hidden. So few cases give no bound on an error rate: of 6 right ones of 6, the
-one-sided 95 % bound of Clopper and Pearson is 61 %. Effects differ from line to line, so lines are not to be compared with each
-other. The Dahl law has no controls: in 24 draws none came as near to the model as a control of the blind test is.
+Named right: exactly the class of what is hidden. So few cases give no bound on an error rate: of 6
+right ones of 6, the one-sided 95 % bound of Clopper and Pearson is 61 %. Effects differ from line
+to line, so lines are not to be compared with each other. The Dahl law has no controls: in 24 draws
+none came as near to the model as a control of the blind test is.
 """
 
 

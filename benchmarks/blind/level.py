@@ -174,15 +174,17 @@ wrong inertia, a quiet servo, another formulation of friction) are fitted, recor
 from each fit under the same input with new noise (the estimated disturbance torque and error of the
 sensor, the encoder's steps), and all effects are tried in these as in a diagnosis.
 
-| first round of a search: the largest gain, less what is usual for its effect, is above | found | 95 % interval |
+| first round of a search: the largest gain, less what is usual for its effect, is above | found |\
+ 95 % interval |
 |---|---|---|
 {rows}
 
-The quantile is that which the null distribution exceeds in 1 of 500 draws of random signs of the segments' scores (rule 6 in
-[how the diagnosis decides](../../docs/diagnosis_rules.md)), a matter of milliseconds. Refits from several starts gain more than
-scores tell, as the first line shows, so that the level is `REFIT_FACTOR` times that quantile. An effect above the level is named
-only if it meets the rest of the criterion too (last line). Intervals are those of Clopper and Pearson over all replicates, as if
-those of one control were independent.
+The quantile is that which the null distribution exceeds in 1 of 500 draws of random signs of the
+segments' scores (rule 6 in [how the diagnosis decides](../../docs/diagnosis_rules.md)), a matter of
+milliseconds. Refits from several starts gain more than scores tell, as the first line shows, so
+that the level is `REFIT_FACTOR` times that quantile. An effect above the level is named only if it
+meets the rest of the criterion too (last line). Intervals are those of Clopper and Pearson over all
+replicates, as if those of one control were independent.
 """
 
 

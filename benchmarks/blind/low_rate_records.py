@@ -113,8 +113,9 @@ estimates includes any delay of less than half a sample.)
 |---|---|---|---|---|---|
 {rows}
 
-With so few cases the table gives no bound on an error rate. They come from the generator of the blind test, so its limits apply;
-and as its drive works at 1 kHz, the input is never truly held between the samples kept.
+With so few cases the table gives no bound on an error rate. They come from the generator of the
+blind test, so its limits apply; and as its drive works at 1 kHz, the input is never truly held
+between the samples kept.
 """,
     )
     print(rows)

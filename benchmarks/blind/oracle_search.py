@@ -122,9 +122,10 @@ def main() -> None:
     run.go_on(diagnose_with_answer, calls, a.jobs, "answer_known")
     text = f"""# What the search names when the answer is known to it
 
-`python benchmarks/blind/oracle_search.py --out out/blind/{a.out.name}`. Cases that are not named right, diagnosed again with
-all starts of the effects that are there followed to their ends and, where the form is their own, started from the truth as well;
-and where the missing effect stands where that does not help:
+`python benchmarks/blind/oracle_search.py --out out/blind/{a.out.name}`. Cases that are not named
+right, diagnosed again with all starts of the effects that are there followed to their ends and,
+where the form is their own, started from the truth as well; and where the missing effect stands
+where that does not help:
 
 {table(pairs, lambda answer: json.loads(target(answer).read_text(encoding="utf-8")))}
 """

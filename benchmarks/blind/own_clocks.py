@@ -24,9 +24,10 @@ CLOCKS_SEED = "own clocks"
 CLOCKS_NAMES = ("disturbance_step", "friction_drift", "encoder_play")
 INTRODUCTION = """# Records with clocks of their own
 
-`python benchmarks/blind/own_clocks.py`: two records of 20 s at 1 kHz from the generator of the blind test, written with times
-that both begin at 0. What is hidden acts on the time of the session: a step in the first record stays on in the second, a drift
-goes on. Half of the cases have another form than the catalogue. Named right: that effect, or one of its class, and no other.
+`python benchmarks/blind/own_clocks.py`: two records of 20 s at 1 kHz from the generator of the
+blind test, written with times that both begin at 0. What is hidden acts on the time of the session:
+a step in the first record stays on in the second, a drift goes on. Half of the cases have another
+form than the catalogue. Named right: that effect, or one of its class, and no other.
 """
 
 

@@ -4,7 +4,7 @@ against the sealed answers.
     run.py generate --seed dev1 --out DIR [--scale 0.1] [--jobs 2] [--only single]
     run.py diagnose --out DIR [--jobs 2]
     run.py score --out DIR
-    run.py publish [--jobs 2]     all three, seeded by the commit's hash; refuses a tree with changes
+    run.py publish [--jobs 2]     all three, seeded by the commit's hash; not a tree with changes
 
 An interrupted step continues with the cases that are missing. The diagnosis never reads the
 answers; answers.sha256 seals them.
@@ -46,11 +46,12 @@ hash of the commit under test; diagnoses them; and scores the results against se
 commit is tested once and the first run counts. Further tables, by effect, by gap ratio and by
 parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
 
-In the table, an effect in its **own form** follows the equation of the catalogue, one in **another form** a different equation of
-the same physics. A **control** has no hidden effect. **Outside** means that the hidden effect is not in the catalogue, **pairs**
-that two effects are hidden, **poor excitation** that the records move too little or too uniformly. **Flagged** means that the
-answer reports an [unexplained residual](glossary.md#unexplained-residual). The [gap ratio](glossary.md#gap-ratio) says how large
-the effect is.
+In the table, an effect in its **own form** follows the equation of the catalogue, one in **another
+form** a different equation of the same physics. A **control** has no hidden effect. **Outside**
+means that the hidden effect is not in the catalogue, **pairs** that two effects are hidden, **poor
+excitation** that the records move too little or too uniformly. **Flagged** means that the answer
+reports an [unexplained residual](glossary.md#unexplained-residual). The [gap
+ratio](glossary.md#gap-ratio) says how large the effect is.
 """
 PUBLISHED_TABLES = ROOT / "benchmarks" / "results" / "blind.md"
 

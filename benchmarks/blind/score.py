@@ -11,7 +11,8 @@ import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -331,63 +332,65 @@ def _naming(cases: list[Judged]) -> list[Figure]:
         of[case.group].append(case)
     clear = [c for c in cases if c.answer["effects"]]
     named = [c for c in clear if c.result["verdict"] == "named"]
+    takable = [c for c in of["other"] if c.takable]
+    untakable = [c for c in of["other"] if not c.takable]
+    doubted = "in doubt (no green heading) although named right"
+    takes, not_takes = (
+        f"of these, a form that {it}" for it in ("the catalogue can take", "it cannot take")
+    )
     return [
-        _at_most(
-            "not named right, own form, ratio >= 2", (not c.right for c in of["same"]), 3, 300
-        ),
-        _at_most(
-            "not named right, other form, ratio >= 2", (not c.right for c in of["other"]), 9, 300
-        ),
-        _at_most(
-            "of these, a form that the catalogue can take",
-            (not c.right for c in of["other"] if c.takable),
-            None,
-        ),
-        _at_most(
-            "of these, a form that it cannot take",
-            (not c.right for c in of["other"] if not c.takable),
-            None,
-        ),
-        _at_least("named right, ratio 1.3 to 2", (c.right for c in of["low"]), 0.85),
-        _at_least("named right, ratio < 1.3", (c.right for c in of["faint"]), None),
-        _at_most("a wrong class among all that were named", (bool(c.extra) for c in named), 1, 450),
+        _at_most("not named right, own form, ratio >= 2", map(_wrong, of["same"]), 3, 300),
+        _at_most("not named right, other form, ratio >= 2", map(_wrong, of["other"]), 9, 300),
+        _at_most(takes, map(_wrong, takable), None),
+        _at_most(not_takes, map(_wrong, untakable), None),
+        _at_least("named right, ratio 1.3 to 2", map(RIGHT, of["low"]), 0.85),
+        _at_least("named right, ratio < 1.3", map(RIGHT, of["faint"]), None),
+        _at_most("a wrong class among all that were named", map(_extra, named), 1, 450),
         _at_least(
-            "strictly right by name, ratio >= 2", (c.strict for c in of["same"] + of["other"]), None
+            "strictly right by name, ratio >= 2", map(STRICT, of["same"] + of["other"]), None
         ),
-        _at_most(
-            "in doubt (no green heading) although named right",
-            (c.doubted for c in clear if c.right),
-            None,
-        ),
-        _at_most(
-            "a wrong name, and no doubt said",
-            (bool(c.extra) and not c.doubted for c in cases if c.named),
-            None,
-        ),
+        _at_most(doubted, (c.doubted for c in clear if c.right), None),
+        _at_most("a wrong name, and no doubt said", map(_undoubted, filter(_named, cases)), None),
     ]
+
+
+RIGHT, FLAGGED, STRICT = attrgetter("right"), attrgetter("flagged"), attrgetter("strict")
+
+
+def _wrong(case: Judged) -> bool:
+    return not case.right
+
+
+def _named(case: Judged) -> bool:
+    return bool(case.named)
+
+
+def _extra(case: Judged) -> bool:
+    return bool(case.extra)
+
+
+def _undoubted(case: Judged) -> bool:
+    return bool(case.extra) and not case.doubted
+
+
+def _unflagged(case: Judged) -> bool:
+    return not case.flagged
 
 
 def _restraint(cases: list[Judged]) -> list[Figure]:
     controls = [c for c in cases if c.group == "control"]
     outside = [c for c in cases if c.group == "outside"]
     right = [c for c in cases if c.group in SINGLE and c.right]
+    ties = (c.result["verdict"] == "tie" for c in controls)
+    misnamed = (_named(c) and _unflagged(c) for c in outside)
     return [
-        _at_most(
-            "false alarm on a control (anything named)", (bool(c.named) for c in controls), 1, 240
-        ),
-        _at_most(
-            "tie reported on a control", (c.result["verdict"] == "tie" for c in controls), None
-        ),
-        _at_most("control flagged 'unexplained residual'", (c.flagged for c in controls), None),
-        _at_most(
-            "outside: misnamed without a flag",
-            (bool(c.named) and not c.flagged for c in outside),
-            1,
-            240,
-        ),
-        _at_most("outside: not flagged", (not c.flagged for c in outside), 6, 240),
-        _at_most("outside: misnamed, flagged or not", (bool(c.named) for c in outside), None),
-        _at_most("false 'unexplained residual' when named right", (c.flagged for c in right), 0.05),
+        _at_most("false alarm on a control (anything named)", map(_named, controls), 1, 240),
+        _at_most("tie reported on a control", ties, None),
+        _at_most("control flagged 'unexplained residual'", map(FLAGGED, controls), None),
+        _at_most("outside: misnamed without a flag", misnamed, 1, 240),
+        _at_most("outside: not flagged", map(_unflagged, outside), 6, 240),
+        _at_most("outside: misnamed, flagged or not", map(_named, outside), None),
+        _at_most("false 'unexplained residual' when named right", map(FLAGGED, right), 0.05),
     ]
 
 
@@ -414,43 +417,31 @@ def _several(cases: list[Judged]) -> list[Figure]:
 
 def _quality(cases: list[Judged]) -> list[Figure]:
     right = [c for c in cases if c.right and c.group != "poor"]
-    shrink = [
-        float(c.result["gap"]["shrink"])
-        for c in right
-        if (c.result.get("gap") or {}).get("shrink") is not None
-    ]
-    rows = parameter_rows(c for c in cases if c.group == "same")
-    errors = [error for _, error, _ in rows]
+    gaps = [(c.result.get("gap") or {}).get("shrink") for c in right]
+    shrink = [float(gap) for gap in gaps if gap is not None]
     seconds = [float(c.result["seconds"]) for c in cases]
-    coverage = _at_least(
-        "95 % intervals that cover the truth, own form",
-        (c for *_, c in rows if c is not None),
-        None,
-    )
+    failed = (c.result["verdict"] == "error" for c in cases)
+    return [
+        _number("shrink when right, median", shrink, np.median, ">= 0.98", lambda x: x >= 0.98),
+        *_own_form(c for c in cases if c.group == "same"),
+        _number("seconds of one core a case, median", seconds, np.median, "reported", None),
+        _number("seconds of one core a case, longest", seconds, max, "<= 10", lambda x: x <= 10),
+        _at_most("cases that ended in an error", failed, 0.0),
+    ]
+
+
+def _own_form(same: Iterable[Judged]) -> list[Figure]:
+    rows = parameter_rows(same)
+    errors = [error for _, error, _ in rows]
+    half, most = "parameter error, own form, median", "parameter error, own form, 90th percentile"
+    covered = (c for *_, c in rows if c is not None)
+    coverage = _at_least("95 % intervals that cover the truth, own form", covered, None)
     # a few that all cover are not too wide
     met = coverage.value >= 0.9 and (coverage.bound or 0.0) <= 0.99 if coverage.n else None
     return [
-        _number("shrink when right, median", shrink, np.median, ">= 0.98", lambda x: x >= 0.98),
-        _number(
-            "parameter error, own form, median", errors, np.median, "<= 0.02", lambda x: x <= 0.02
-        ),
-        _number(
-            "parameter error, own form, 90th percentile", errors, percentile(90), "reported", None
-        ),
-        Figure(
-            coverage.name,
-            coverage.value,
-            coverage.n,
-            "90 to 99 %",
-            met,
-            coverage.bound,
-            coverage.count,
-        ),
-        _number("seconds of one core a case, median", seconds, np.median, "reported", None),
-        _number("seconds of one core a case, longest", seconds, max, "<= 10", lambda x: x <= 10),
-        _at_most(
-            "cases that ended in an error", (c.result["verdict"] == "error" for c in cases), 0.0
-        ),
+        _number(half, errors, np.median, "<= 0.02", lambda x: x <= 0.02),
+        _number(most, errors, percentile(90), "reported", None),
+        replace(coverage, goal="90 to 99 %", met=met),
     ]
 
 
@@ -556,12 +547,14 @@ def _draws(cases: list[Judged]) -> list[str]:
     return _table(["drawn in vain", "times"], rejected.most_common())
 
 
-NOTE = """Class named right: verdict "named" and exactly the classes of the truth. Bounds are one-sided 95 % Clopper-Pearson
-bounds: upper for failures, lower for successes. A smaller run is allowed failures in proportion, rounded down. Errors of
-parameters are relative; of angles in turns, of a stop's place in rad, of an onset in s; (A, phi) and (-A, phi + pi) are
-one; a parameter that is not reported, such as a second stop that was not found, has none. The gap ratio is the truth's own,
-see benchmarks/blind/gap.py. Of the other forms some are within what a parameter of the catalogue's form can do (a second
-harmonic, a power, a settling drift: see `TAKEN` in benchmarks/blind/forms.py).
+NOTE = """Class named right: verdict "named" and exactly the classes of the truth. Bounds are
+one-sided 95 % Clopper-Pearson bounds: upper for failures, lower for successes. A smaller run is
+allowed failures in proportion, rounded down. Errors of parameters are relative; of angles in turns,
+of a stop's place in rad, of an onset in s; (A, phi) and (-A, phi + pi) are one; a parameter that is
+not reported, such as a second stop that was not found, has none. The gap ratio is the truth's own,
+see benchmarks/blind/gap.py. Of the other forms some are within what a parameter of the catalogue's
+form can do (a second harmonic, a power, a settling drift: see `TAKEN` in
+benchmarks/blind/forms.py).
 """
 
 

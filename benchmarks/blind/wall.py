@@ -106,8 +106,9 @@ median of 5 s, and at most 60 s.
 |---|---|---|---|---|---|
 {rows}
 
-All programs had been compiled: each case was diagnosed twice, and the second time counts. The first time, in which each new
-combination of model and effects is compiled, the median was {first:.1f} s; the first case of all took longest.
+All programs had been compiled: each case was diagnosed twice, and the second time counts. The first
+time, in which each new combination of model and effects is compiled, the median was {first:.1f} s;
+the first case of all took longest.
 """
 
 

@@ -207,9 +207,11 @@ without a true c or Stribeck weights gives its Coulomb friction there, or nothin
 them, such as *b / 3*, get the true alpha2, b and Fc but for what the row names, all of it called
 valid.
 
-![Tracking error with compensation over that without, at the low speed, with all estimates on trial](compensation.png)
+![Tracking error with compensation over that without, at the low speed, with all estimates on
+trial](compensation.png)
 """
-LIMITS = """The goal: at most half of the error of the controller alone at the low speed, and never more than it.
+LIMITS = """The goal: at most half of the error of the controller alone at the low speed, and never
+more than it.
 
 ## What limits the rest
 
@@ -224,6 +226,7 @@ LIMITS = """The goal: at most half of the error of the controller alone at the l
   at low speed, up to twice, but not its shape: on `coulomb` and `stribeck_static`, whose friction
   turns at once at a reversal, W turns over a travel of 1/`assumed_c`. There, `swapped` and
   `two_step_drem` are limited by their c.
-- *The reference.* One of order 1 has white noise as acceleration; r'/b alone then is 32 V rms at full speed, beyond the drive's
-  24 V. With `ORDER = 1.0` in the script `gms` and `leuven` end some runs, because their internal step becomes too small for it.
+- *The reference.* One of order 1 has white noise as acceleration; r'/b alone then is 32 V rms at
+  full speed, beyond the drive's 24 V. With `ORDER = 1.0` in the script `gms` and `leuven` end some
+  runs, because their internal step becomes too small for it.
 """

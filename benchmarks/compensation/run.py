@@ -33,7 +33,7 @@ from bristle.common.cache import cache_folder, digest
 from bristle.fmus import obtain
 from bristle.fmus.build import program_of
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance, Port
+from bristle.harness.cosim.bus import Bus, BusUnit, Port
 from bristle.harness.cosim.loop import simulate
 from bristle.model.normalised import OBSERVED
 from bristle.model.sources import fingerprint
@@ -91,7 +91,7 @@ def truth(law: str) -> dict[str, float]:
     """Return the true normalised parameters that a law has, at its defaults."""
     plant = fmu("plant")
     bus = Bus(
-        (Instance("plant", plant, {"law": plant.choices("law")[law]}),),
+        (BusUnit("plant", plant, {"law": plant.choices("law")[law]}),),
         1,
         COMPENSATION_STEP,
         flags=tuple(("plant", name) for name in plant.variables if name.startswith("true.")),
@@ -142,17 +142,15 @@ def follow(who: str, way: str, law: str, seed: int) -> Json:
     begins = np.cumsum(steps)[:-1]
     plant, controller, h = fmu("plant"), fmu("controller"), COMPENSATION_STEP
     instances = [
-        Instance("controller", controller, {"seed": float(seed), "order": ORDER}),
-        Instance("plant", plant, {"law": plant.choices("law")[law]}),
+        BusUnit("controller", controller, {"seed": float(seed), "order": ORDER}),
+        BusUnit("plant", plant, {"law": plant.choices("law")[law]}),
     ]
     events, links = given(who, way, law)
     links += [(("plant", "v_enc"), ("controller", "y_v")), (("controller", "u"), ("plant", "u"))]
     flags = []
     if who in methods():
         watching = fmu("observer")
-        instances.append(
-            Instance("observer", watching, {"method": watching.choices("method")[who]})
-        )
+        instances.append(BusUnit("observer", watching, {"method": watching.choices("method")[who]}))
         sensor = "encoder" if methods()[who].reads == "y_theta" else "clean"
         theta, v = {"encoder": ("theta_enc", "v_enc"), "clean": ("theta", "v")}[sensor]
         links += [

@@ -286,11 +286,23 @@ def _simulated(
     return out[0].copy(), out[1].copy(), out[2].copy()
 
 
+# what parameters of the plant are multiplied by
+FACTORS = {
+    "c": (0.05, 5.0, 20.0),
+    "alpha2": (0.05, 20.0),
+    "friction": (0.05, 20.0),
+    "b": (0.2, 50.0, -1.0),
+    "J": (0.1, 10.0),
+}
+SCALED_WITH = {"friction": ("s0", "s1", "s2"), "c": ("c", "s0", "s1", "s2")}
+
+
 def _conditions() -> dict[str, Condition]:
     found: list[Condition] = [Condition("standard", "reference")]
 
     def add(group: str, name: str, **changes: object) -> None:
-        found.append(replace(Condition(name, group), **changes))  # type: ignore[arg-type]  # of the fields of a condition, each of its own type
+        # of the fields of a condition, each of its own type
+        found.append(replace(Condition(name, group), **changes))  # type: ignore[arg-type]
 
     for corner in (2.0, 10.0):
         add("reference", f"noise {corner:g} rad/s", corner=corner)
@@ -314,22 +326,10 @@ def _conditions() -> dict[str, Condition]:
     add("torque", "coloured torque 5 %", load="coloured", load_share=0.05)
     for v0 in (5.0, 60.0, 120.0):
         add("plant", f"LuGre v0 {v0:g} deg/s", plants=("LuGre",), factors={"v0": v0 / 25.0})
-    for name, factors in {
-        "c": (0.05, 5.0, 20.0),
-        "alpha2": (0.05, 20.0),
-        "friction": (0.05, 20.0),
-        "b": (0.2, 50.0, -1.0),
-        "J": (0.1, 10.0),
-    }.items():
+    for name, factors in FACTORS.items():
         for factor in factors:
-            scaled = (
-                ("s0", "s1", "s2")
-                if name == "friction"
-                else ("c", "s0", "s1", "s2")
-                if name == "c"
-                else (name,)
-            )
-            add("plant", f"{name} x{factor:g}", factors={each: factor for each in scaled})
+            scaled = SCALED_WITH.get(name, (name,))
+            add("plant", f"{name} x{factor:g}", factors=dict.fromkeys(scaled, factor))
     for factor in (0.3, 0.6, 2.0, 4.0):
         add("plant", f"basis width x{factor:g}", factors=dict.fromkeys(WIDTHS, factor))
     add("plant", "tau 0.02 s", plants=("damped",))

@@ -54,7 +54,8 @@ VALID_SHIFT = {"tau": 1e-3, "delay": 0.1}  # sd of what may be zero: s, samples
 DRIVER = """
 #include <stdlib.h>
 #include <string.h>
-EXPORT int window_run(long n, const double *p, const double *u, const double *y, const double *options, double *state) {
+EXPORT int window_run(long n, const double *p, const double *u, const double *y,
+                      const double *options, double *state) {
     casadi_int arguments, results, integers, reals;
     const double *arg[16];
     double *res[16], *w, *next;

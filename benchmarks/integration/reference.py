@@ -51,10 +51,11 @@ def modified_rhs(a2: float, s0: float, s1: float, s2: float, c: float) -> Rhs:
     return rhs
 
 
-def lugre_rhs(m: float, s0: float, s1: float, s2: float, fc: float, fs: float, vs: float) -> Rhs:
+def lugre_rhs(m: float, s0: float, s1: float, s2: float, level: tuple[float, float, float]) -> Rhs:
     """Return LuGre as Canudas de Wit et al. (1995) print it, in forces; s2 is the viscous
-    coefficient.
+    coefficient, `level` has Fc, Fs and vs.
     """
+    fc, fs, vs = level
 
     def rhs(_t: float, x: Sequence[float], drive: float) -> list[float]:
         v, z = x[1], x[2]
@@ -77,21 +78,10 @@ def _lugre(
     servo: tuple[float, float, float], s0: float, s1: float, fc: float, fs: float, vs: float
 ) -> Plant:
     m, b, a2 = servo
-    values = {
-        "lugre.sigma0": s0,
-        "lugre.sigma1": s1,
-        "lugre.Fc": fc,
-        "lugre.Fs": fs,
-        "lugre.vs": vs,
-    }
-    return Plant(
-        "lugre",
-        {"J": m, "b": b, "a2": a2} | values,
-        lugre_rhs(m, s0, s1, a2, fc, fs, vs),
-        "lugre.z",
-        fc / s0,
-        b / m,
-    )
+    level = {"lugre.Fc": fc, "lugre.Fs": fs, "lugre.vs": vs}
+    values = {"J": m, "b": b, "a2": a2, "lugre.sigma0": s0, "lugre.sigma1": s1} | level
+    rhs = lugre_rhs(m, s0, s1, a2, (fc, fs, vs))
+    return Plant("lugre", values, rhs, "lugre.z", fc / s0, b / m)
 
 
 REFERENCE_PLANTS = {

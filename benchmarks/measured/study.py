@@ -1,7 +1,10 @@
 """Diagnose measured data of four rigs whose missing effect is known, and write the results.
 
-    python benchmarks/measured/study.py            # all four: benchmarks/results/measured.md, docs/images, docs/diagnosis.md
-    python benchmarks/measured/study.py emps       # these folders only; tables are printed, figures go to out/measured
+    python benchmarks/measured/study.py            # all four
+    python benchmarks/measured/study.py emps       # these folders only
+
+All four write benchmarks/results/measured.md, docs/images and docs/diagnosis.md; of some only, the
+tables are printed, and figures go to out/measured.
 
 The data are not part of the repository: they are looked for in the folder that BRISTLE_DATA names.
 A set that is not there is skipped, with a line that says so.
@@ -44,34 +47,40 @@ What these figures do not say:
   examples, not a sample that gives an error rate.
 - For XL330 gravity counts as right alone, with load_friction, and with load_friction and back_emf.
 
-The records are not part of the repository. They are looked for in `../shared/data` beside it, or where `BRISTLE_DATA` says; a set
-that is not there is skipped with a line on standard error, and the exit code stays 0. EMPS (Janot, Gautier and Brunot, Workshop on
-Nonlinear System Identification Benchmarks, 2019) lies in `emps/`, from github.com/forgi86/sysid-neural-continuous; XL330 in
-`bam_xl330_gain/`, from github.com/Rhoban/bam; Go1 in `bam_go1_load/`, from the fork github.com/rimim/bam; ODrive in
-`odrive_cogging/`, from github.com/gchenfc/ODrive (analysis/cogging_torque).
+The records are not part of the repository. They are looked for in `../shared/data` beside it, or
+where `BRISTLE_DATA` says; a set that is not there is skipped with a line on standard error, and the
+exit code stays 0. EMPS (Janot, Gautier and Brunot, Workshop on Nonlinear System Identification
+Benchmarks, 2019) lies in `emps/`, from github.com/forgi86/sysid-neural-continuous; XL330 in
+`bam_xl330_gain/`, from github.com/Rhoban/bam; Go1 in `bam_go1_load/`, from the fork
+github.com/rimim/bam; ODrive in `odrive_cogging/`, from github.com/gchenfc/ODrive
+(analysis/cogging_torque).
 """
 SET_DESCRIPTIONS = {
     "emps": (
-        """Linear axis with a ball screw, 25 s at 1 kHz; the input is in volts with its known gain in N/V. The model has viscous
-and symmetric Coulomb friction; the authors of the data name an offset, and friction that differs by direction."""
+        """Linear axis with a ball screw, 25 s at 1 kHz; the input is in volts with its known gain
+in N/V. The model has viscous and symmetric Coulomb friction; the authors of the data name an
+offset, and friction that differs by direction."""
     ),
     "bam_xl330_gain": (
-        """Half a kilogram at 0.1 m on a small servo, 12 runs of 6 s at four gains of its position loop; the input is
-the voltage. Gravity is missing from the model. Those who recorded the data also name friction that grows with the load.
-In the first round cogging gains more than gravity, but with its number of periods at the limit, two in a turn, where it stands in
-for another effect."""
+        """Half a kilogram at 0.1 m on a small servo, 12 runs of 6 s at four gains of its position
+loop; the input is the voltage. Gravity is missing from the model. Those who recorded the data also
+name friction that grows with the load. In the first round cogging gains more than gravity, but with
+its number of periods at the limit, two in a turn, where it stands in for another effect."""
     ),
     "bam_go1_load": (
-        """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs without a load; with
-one, gravity must grow in proportion, and inertia by as much for each kilogram, from what motor and arm have: on a straight line
-then, and not one through zero. The logged torque is that of the rotor, ahead of a gear that the data do not mention."""
+        """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs
+without a load; with one, gravity must grow in proportion, and inertia by as much for each kilogram,
+from what motor and arm have: on a straight line then, and not one through zero. The logged torque
+is that of the rotor, ahead of a gear that the data do not mention."""
     ),
     "odrive_cogging": (
-        """A motor turned once, slowly, three times with its anti-cogging compensation off and three times on; the
-input is the measured current, compensation included: the compensation changes the motion, not the motor. With it off, cogging must
-be named; with it on, the cogging of the motion must be gone or much smaller, and may be named or not. Simulations of these records
-diverge easily, so the end of the refit depends on how a processor rounds. On another processor the error with the compensation off
-falls from 0.00955 to 0.00913 rad; the names are the same, also from a nominal inertia 4 % smaller."""
+        """A motor turned once, slowly, three times with its anti-cogging compensation off and three
+times on; the input is the measured current, compensation included: the compensation changes the
+motion, not the motor. With it off, cogging must be named; with it on, the cogging of the motion
+must be gone or much smaller, and may be named or not. Simulations of these records diverge easily,
+so the end of the refit depends on how a processor rounds. On another processor the error with the
+compensation off falls from 0.00955 to 0.00913 rad; the names are the same, also from a nominal
+inertia 4 % smaller."""
     ),
 }
 

@@ -1,8 +1,8 @@
 """Output-error fits of lean models to a record, with exact derivatives: baselines, floor and
 information bound.
 
-The study's own, beside bristle.harness.metrics.fit, which fits FMUs by finite differences: hundreds of fits
-have to be quick here.
+The study's own, beside bristle.harness.metrics.fit, which fits FMUs by finite differences:
+hundreds of fits have to be quick here.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -252,100 +252,64 @@ def cost() -> str:
     )
 
 
+def _goal(
+    what: str, values: Sequence[float], limit: float, goal: str, form: str = ".2f"
+) -> list[str]:
+    """Return a row of the goals; each of the values is to be at most `limit`."""
+    missed = sum(not x <= limit for x in values)
+    return [what, two(values, form), goal, _missed(missed, len(values))]
+
+
+def _missed(count: int, n: int) -> str:
+    """Return how many of n miss a goal, and the upper bound of their share."""
+    return f"{count} of {n}, {100 * upper_bound(count, n) if n else 100:.1f} %"
+
+
+def _of_parameters(results: Results, plant: str) -> list[list[str]]:
+    """Return the goals of a plant whose true parameters are known."""
+    entries = [result["encoder"][BEST] for result in results.of_best(plant)]
+    settling = [math.inf if e["settling_s"] is None else e["settling_s"] for e in entries]
+    errors = [largest(e, FIRST_CHECK) for e in entries]
+    mse = [e["checks"][FIRST_CHECK]["mse"] for e in entries]
+    error = f"{plant}: largest error at {FIRST_CHECK} s, %"
+    return [
+        _goal(f"{plant}: time to 5 %, s", settling, 10, "median <= 6, worst <= 10", ".1f"),
+        _goal(error, errors, 0.3, "<= 0.3", ".2g"),
+        _goal(f"{plant}: MSE, %", mse, 1e-4, "<= 1e-4", ".1e"),
+    ]
+
+
+def _of_changes(results: Results, plant: str) -> list[list[str]]:
+    """Return the goals after a change of the load, and of starts that are far off."""
+    back = [r[BEST]["back_s"] for r in results.of("change", plant)]
+    times = [math.inf if x is None else x for x in back]
+    counts = [r[BEST] for r in results.of("starts", plant)]
+    failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
+    doubled = f"{plant}: load doubled, back within 5 %, s"
+    starts = f"{plant}: starts ten times off, not within 5 % at {FIRST_CHECK} s"
+    return [
+        _goal(doubled, times, 10, "worst <= 10", ".1f"),
+        [starts, f"{failed} of {n}", "0", _missed(failed, n)],
+    ]
+
+
 def goals(results: Results) -> str:
     """Return what the best method reaches, with counts and bounds."""
-    rows: list[list[str]] = []
-
-    def add(
-        what: str,
-        values: Sequence[float],
-        holds: Callable[[float], bool],
-        goal: str,
-        form: str = ".2f",
-    ) -> None:
-        missed = sum(not holds(x) for x in values)
-        rows.append(
-            [
-                what,
-                two(values, form),
-                goal,
-                f"{missed} of {len(values)}, {100 * upper_bound(missed, len(values)):.1f} %",
-            ]
-        )
-
-    for plant in WITH_TRUTH:
-        entries = [result["encoder"][BEST] for result in results.of_best(plant)]
-        add(
-            f"{plant}: time to 5 %, s",
-            [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
-            lambda x: x <= 10,
-            "median <= 6, worst <= 10",
-            ".1f",
-        )
-        add(
-            f"{plant}: largest error at {FIRST_CHECK} s, %",
-            [largest(e, FIRST_CHECK) for e in entries],
-            lambda x: x <= 0.3,
-            "<= 0.3",
-            ".2g",
-        )
-        add(
-            f"{plant}: MSE, %",
-            [e["checks"][FIRST_CHECK]["mse"] for e in entries],
-            lambda x: x <= 1e-4,
-            "<= 1e-4",
-            ".1e",
-        )
+    rows = [row for plant in WITH_TRUTH for row in _of_parameters(results, plant)]
     for plant in PLANTS_WITHOUT_TRUTH:
-        add(
-            f"{plant}: MSE over floor at {FIRST_CHECK} s",
-            ratios(results.of_best(plant), "encoder", BEST, FIRST_CHECK, "modified"),
-            lambda x: x <= 1.5,
-            "worst <= 1.5",
-        )
-    for plant in WITH_TRUTH:
-        back = [r[BEST]["back_s"] for r in results.of("change", plant)]
-        add(
-            f"{plant}: load doubled, back within 5 %, s",
-            [math.inf if x is None else x for x in back],
-            lambda x: x <= 10,
-            "worst <= 10",
-            ".1f",
-        )
-        counts = [r[BEST] for r in results.of("starts", plant)]
-        failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
-        rows.append(
-            [
-                f"{plant}: starts ten times off, not within 5 % at {FIRST_CHECK} s",
-                f"{failed} of {n}",
-                "0",
-                f"{failed} of {n}, {100 * upper_bound(failed, n) if n else 100:.1f} %",
-            ]
-        )
-    false = [
-        result["changes"] > 0
-        for plant in (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH)
-        for result in results.of_best(plant)
-    ]
-    rows.append(
-        [
-            "changes found on unchanged records",
-            f"{sum(false)} of {len(false)}",
-            "<= 1 of 60",
-            f"{sum(false)} of {len(false)}, {100 * upper_bound(sum(false), len(false)):.1f} %",
-        ]
-    )
+        over = ratios(results.of_best(plant), "encoder", BEST, FIRST_CHECK, "modified")
+        rows.append(_goal(f"{plant}: MSE over floor at {FIRST_CHECK} s", over, 1.5, "worst <= 1.5"))
+    rows += [row for plant in WITH_TRUTH for row in _of_changes(results, plant)]
+    plants = (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH)
+    false = [result["changes"] > 0 for plant in plants for result in results.of_best(plant)]
+    count, n = sum(false), len(false)
+    what = "changes found on unchanged records"
+    rows.append([what, f"{count} of {n}", "<= 1 of 60", _missed(count, n)])
     for plant in WITH_TRUTH:
         for second in BOUNDS:
             reached = two(efficiency(results, plant, f"{second:g}"))
-            rows.append(
-                [
-                    f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, by parameter",
-                    reached,
-                    "aim: 3",
-                    "-",
-                ]
-            )
+            what = f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, by parameter"
+            rows.append([what, reached, "aim: 3", "-"])
     return table(["", "median / worst", "goal", "missed, 95 % bound"], rows)
 
 
@@ -454,25 +418,29 @@ def figure_floor(results: Results, out: Path) -> None:
 
 STUDY_INTRODUCTION = f"""# Observers compared
 
-{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop records of {LAST_CHECK} s under
-the reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference; the best one on as
-many again, with the seeds that follow), from clean signals and from the encoder (40 000 counts a turn; velocity: differences of
-counts).
-Methods that take alpha2 and b as known get the true ones. Each cell: median / worst record, of the worst of the parameters;
-"never": not by the end, or no number; "failed": runs that ended early. An even number of records has the larger of the two in the
-middle as its median. Plants S, R: the modified law, parameters known. L0, L1: original LuGre without and with
-bristle damping; GMS: four Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a second
-record, over the best-fit floor: what a fit of the modified law with tau (7 parameters) to 60 s of the clean velocity reaches (an
-estimate from a longer record may reach less). An observer is judged by the richest model that its outputs determine: the
-modified law, viscous + Coulomb, or viscous. The original law, which `cao` identifies, and elements side by side are not among them:
+{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop
+records of {LAST_CHECK} s under the reference controller, on {{n}} records of each plant (seeds 1 to
+{{seeds}}, both orders of the reference; the best one on as many again, with the seeds that follow),
+from clean signals and from the encoder (40 000 counts a turn; velocity: differences of counts).
+Methods that take alpha2 and b as known get the true ones. Each cell: median / worst record, of the
+worst of the parameters; "never": not by the end, or no number; "failed": runs that ended early. An
+even number of records has the larger of the two in the middle as its median. Plants S, R: the
+modified law, parameters known. L0, L1: original LuGre without and with bristle damping; GMS: four
+Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a
+second record, over the best-fit floor: what a fit of the modified law with tau (7 parameters) to 60
+s of the clean velocity reaches (an estimate from a longer record may reach less). An observer is
+judged by the richest model that its outputs determine: the modified law, viscous + Coulomb, or
+viscous. The original law, which `cao` identifies, and elements side by side are not among them:
 those two are judged by their Coulomb friction here, and docs/mathematics.md says what they reach.
 """
 
 
-ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one length and one stiffness of the
-bristles; encoder: 1 um. Its own start values are given to the methods that have starts, the true alpha2 and b to those that take
-them as known; a millimetre stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000 mm/s
-are reached, at which the presliding distance is passed fifty times in a sample: only reversals distinguish sigma0 and c."""
+ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one
+length and one stiffness of the bristles; encoder: 1 um. Its own start values are given to the
+methods that have starts, the true alpha2 and b to those that take them as known; a millimetre
+stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000
+mm/s are reached, at which the presliding distance is passed fifty times in a sample: only reversals
+distinguish sigma0 and c."""
 
 
 def publish(found: Mapping[Any, Path], docs: Path) -> str:

@@ -1,6 +1,4 @@
-"""The commands, one file each; importing this package makes them known, in the order of the
-help.
-"""
+"""The commands, one file each; importing this package makes them known, in their order."""
 
 from importlib import import_module
 

@@ -54,12 +54,12 @@ def accept(
     """
     from bristle.common.output import output_folder
     from bristle.harness.baseline.baseline import make_baseline, refuse_other, write_baseline
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.run.run import build_and_check
     from bristle.harness.scenario.catalogue import find_scenario
 
     refuse_duplicates(scenarios)
-    options = Options(
+    options = RunOptions(
         int(fmi.value), kind.value, tuple(set_ or ()), seed, full=True, timeout=timeout
     )
     passed = True

@@ -11,6 +11,24 @@ import typer
 from bristle.cli.app import FAIL, PASS, DebugOption, app, path_of
 from bristle.cli.terminal import command_line
 
+FirstArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="baseline, or result folder of bristle run --full", metavar="A", parser=path_of
+    ),
+]
+SecondArgument = Annotated[
+    Path,
+    typer.Argument(help="result folder of bristle run, or baseline", metavar="B", parser=path_of),
+]
+OutOption = Annotated[
+    Path, typer.Option(help="folder for the report", metavar="FOLDER", parser=path_of)
+]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option(help="file for the verdicts as JSON", metavar="FILE", parser=path_of),
+]
+
 
 @app.command(
     short_help="Judge a run against a reference.",
@@ -21,25 +39,10 @@ from bristle.cli.terminal import command_line
     ),
 )
 def compare(
-    first: Annotated[
-        Path,
-        typer.Argument(
-            help="baseline, or result folder of bristle run --full", metavar="A", parser=path_of
-        ),
-    ],
-    second: Annotated[
-        Path,
-        typer.Argument(
-            help="result folder of bristle run, or baseline", metavar="B", parser=path_of
-        ),
-    ],
-    out: Annotated[
-        Path, typer.Option(help="folder for the report", metavar="FOLDER", parser=path_of)
-    ] = Path("out/compare"),
-    json: Annotated[
-        Path | None,
-        typer.Option(help="file for the verdicts as JSON", metavar="FILE", parser=path_of),
-    ] = None,
+    first: FirstArgument,
+    second: SecondArgument,
+    out: OutOption = Path("out/compare"),
+    json: JsonOption = None,
     debug: DebugOption = False,
 ) -> int:
     """Say whether run B is the same as reference A, signal by signal and in what the servo did;

@@ -43,14 +43,14 @@ def coupling(
     signals and estimates.
     """
     from bristle.harness.coupling import coupling as library
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.catalogue import find_scenario
 
     with fraction("coupling") as tell:
         found = library.coupling(
             find_scenario(scenario),
             out,
-            Options(fmi=int(fmi.value), overrides=tuple(set_ or ()), seed=seed),
+            RunOptions(fmi=int(fmi.value), overrides=tuple(set_ or ()), seed=seed),
             tell,
         )
     errors = found.schemes[0].errors

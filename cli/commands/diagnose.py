@@ -19,6 +19,49 @@ if TYPE_CHECKING:
     from bristle.diagnosis.answer import Diagnosis
     from bristle.diagnosis.selection.start_values import SearchOptions
 
+DataOption = Annotated[
+    list[Path],
+    typer.Option(
+        help="measured files or patterns (two files or more are best)",
+        metavar="FILE...",
+        parser=path_of,
+    ),
+]
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        help="folder for diagnosis.json, report.html and the augmented model",
+        metavar="FOLDER",
+        parser=path_of,
+    ),
+]
+ModelArgument = Annotated[
+    Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)
+]
+FmuOption = Annotated[
+    Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)
+]
+ChooseOption = Annotated[
+    str | None,
+    typer.Option(
+        help="effect of a tie to add to the model",
+        metavar="NAME",
+        autocompletion=complete_effect,
+    ),
+]
+FillOption = Annotated[
+    bool,
+    typer.Option(
+        "--fill", help="put what is left unexplained into the model, as an unnamed torque"
+    ),
+]
+JobsOption = Annotated[
+    int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")
+]
+BudgetOption = Annotated[
+    str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")
+]
+
 
 @app.command(
     cls=DataCommand,
@@ -31,48 +74,14 @@ if TYPE_CHECKING:
     ),
 )
 def diagnose(
-    data: Annotated[
-        list[Path],
-        typer.Option(
-            help="measured files or patterns (two files or more are best)",
-            metavar="FILE...",
-            parser=path_of,
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="folder for diagnosis.json, report.html and the augmented model",
-            metavar="FOLDER",
-            parser=path_of,
-        ),
-    ] = Path("out"),
-    model: Annotated[
-        Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)
-    ] = None,
-    fmu: Annotated[
-        Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)
-    ] = None,
-    choose: Annotated[
-        str | None,
-        typer.Option(
-            help="effect of a tie to add to the model",
-            metavar="NAME",
-            autocompletion=complete_effect,
-        ),
-    ] = None,
-    fill: Annotated[
-        bool,
-        typer.Option(
-            "--fill", help="put what is left unexplained into the model, as an unnamed torque"
-        ),
-    ] = False,
-    jobs: Annotated[
-        int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")
-    ] = 0,
-    budget: Annotated[
-        str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")
-    ] = None,
+    data: DataOption,
+    out: OutOption = Path("out"),
+    model: ModelArgument = None,
+    fmu: FmuOption = None,
+    choose: ChooseOption = None,
+    fill: FillOption = False,
+    jobs: JobsOption = 0,
+    budget: BudgetOption = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
@@ -169,14 +178,12 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     parameters of the effects.
     """
     from bristle.diagnosis.report.headline import headline
-    from bristle.diagnosis.report.text.names import effect_name, plain_texts
+    from bristle.diagnosis.report.text.names import effect_name
 
     print(headline(found))
     text = "\n".join(found.statement)
-    for line in (
-        *found.statement,
-        *(line for line in found.proposals if line.rstrip("?.") not in text),
-    ):
+    proposed = [line for line in found.proposals if line.rstrip("?.") not in text]
+    for line in (*found.statement, *proposed):
         print(line)
     if found.experiment:
         print(f"What to measure next: {found.experiment}")
@@ -186,25 +193,22 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
         print(f"For a model with one of these effects, give --choose: {', '.join(found.choices)}")
     for line in found.findings:
         print(f"  - {line}")
+    if any(effect.parameters for effect in found.effects):
+        _print_parameters(found)
+
+
+def _print_parameters(found: Diagnosis) -> None:
+    """Print a table of the parameters of the effects."""
+    from bristle.diagnosis.report.text.names import plain_texts
+
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:
         for name, e in effect.parameters.items():
             value, low, high = plain_texts(e)
             interval = f"{low} ... {high}" if low else "-"
-            rows.append(
-                (
-                    effect.name,
-                    name,
-                    value + (" (at its bound)" if e.at_bound else ""),
-                    interval,
-                    e.unit,
-                )
-            )
+            value += " (at its bound)" if e.at_bound else ""
+            rows.append((effect.name, name, value, interval, e.unit))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows if len(rows) > 1 else ():
-        print(
-            "  "
-            + "  ".join(
-                f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)
-            ).rstrip()
-        )
+    for row in rows:
+        cells = (f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
+        print("  " + "  ".join(cells).rstrip())

@@ -46,10 +46,10 @@ def export(
     receives it.
     """
     from bristle.harness.exchange.kit import export as write
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.scenario.catalogue import find_scenario
 
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed)
+    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), seed)
     with progress(scenario.stem) as tell:
         tell("building FMUs and running them once", 0, 0)
         package = write(find_scenario(scenario), out, options, platforms)

@@ -30,8 +30,8 @@ from bristle.common.errors import BristleError
 REPLAYED = (".ssp", ".fmu", ".exp")
 
 if TYPE_CHECKING:
-    from bristle.harness.run.checked import Checked, Options
-    from bristle.harness.run.run import Run
+    from bristle.harness.run.checked import Checked, RunOptions
+    from bristle.harness.run.run import FinishedRun
 
 
 @app.command(short_help="Run scenarios, and compare estimates with true values.")
@@ -59,27 +59,31 @@ def run(
 ) -> None:
     """Run scenarios and write a result folder for each; no scenario runs before all are checked."""
     from bristle.common.output import output_folder
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
 
     replays = [path for path in scenarios if path.suffix.lower() in REPLAYED]
     if fmu is not None and not any(path.suffix.lower() == ".exp" for path in replays):
         raise BristleError("--fmu goes with .exp files, of which none is given; leave it out")
     refuse_duplicates(scenarios)
     if replays:
-        if len(replays) < len(scenarios) or set_ or seed is not None:
-            raise BristleError(
-                "packages and experiments run as they are: without scenario files beside them,"
-                " --set and --seed"
-            )
+        _refuse_changes(len(replays) < len(scenarios) or bool(set_) or seed is not None)
         raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
+    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
-        ready = [each for each in checked if each is not None]
         worst = (
-            max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+            ERROR if None in checked else max(_executed(each, debug) for each in checked if each)
         )
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def _refuse_changes(asked: bool) -> None:
+    """Raise BristleError if more is asked of what others packed than to run it as it is."""
+    if asked:
+        raise BristleError(
+            "packages and experiments run as they are: without scenario files beside them,"
+            " --set and --seed"
+        )
 
 
 def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, debug: bool) -> int:
@@ -96,7 +100,7 @@ def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, de
 
 
 def _package(path: Path, out: Path, timeout: float | None) -> int:
-    from bristle.harness.exchange.kit import replay
+    from bristle.harness.exchange.kit_replay import replay
 
     with progress(path.stem) as tell:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
@@ -132,7 +136,7 @@ def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None)
     return PASS if done.passed else FAIL
 
 
-def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:
+def _checked(path: Path, out: Path, options: RunOptions, debug: bool) -> Checked | None:
     """Check a scenario; of one that cannot be run, print the error and return None."""
     from bristle.harness.run.run import build_and_check
     from bristle.harness.scenario.catalogue import find_scenario
@@ -159,7 +163,7 @@ def _executed(checked: Checked, debug: bool) -> int:
     return PASS if done.passed else FAIL
 
 
-def _report(done: Run) -> None:
+def _report(done: FinishedRun) -> None:
     """Print the verdict of a run, why it failed, and findings on its record."""
     result = done.result
     failed = [check["name"] for check in result["checks"] if not check["pass"]]

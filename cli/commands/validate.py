@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,8 +12,28 @@ from bristle.cli.files import DataCommand, files_of
 from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError
 
-if TYPE_CHECKING:
-    pass
+ModelArgument = Annotated[
+    Path,
+    typer.Argument(help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=path_of),
+]
+DataOption = Annotated[
+    list[Path],
+    typer.Option(help="measured files or patterns", metavar="FILE...", parser=path_of),
+]
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        help="folder for validation.json and report.html", metavar="FOLDER", parser=path_of
+    ),
+]
+FmuOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="plant FMU to validate; MODEL.toml then gives the columns",
+        metavar="PLANT.fmu",
+        parser=path_of,
+    ),
+]
 
 
 @app.command(
@@ -27,30 +47,10 @@ if TYPE_CHECKING:
     ),
 )
 def validate(
-    model: Annotated[
-        Path,
-        typer.Argument(
-            help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=path_of
-        ),
-    ],
-    data: Annotated[
-        list[Path],
-        typer.Option(help="measured files or patterns", metavar="FILE...", parser=path_of),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="folder for validation.json and report.html", metavar="FOLDER", parser=path_of
-        ),
-    ] = Path("out/validation"),
-    fmu: Annotated[
-        Path | None,
-        typer.Option(
-            help="plant FMU to validate; MODEL.toml then gives the columns",
-            metavar="PLANT.fmu",
-            parser=path_of,
-        ),
-    ] = None,
+    model: ModelArgument,
+    data: DataOption,
+    out: OutOption = Path("out/validation"),
+    fmu: FmuOption = None,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:

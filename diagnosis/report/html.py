@@ -33,7 +33,7 @@ from bristle.diagnosis.report.text.names import (
     rounded,
     view_name,
 )
-from bristle.diagnosis.report.text.said import said
+from bristle.diagnosis.report.text.said import said as words_of
 from bristle.diagnosis.report.text.statement import unexplained_line, unnamed_line
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
@@ -94,8 +94,8 @@ def interval(value: float, low: float, high: float) -> Markup:
 
 
 def _records(diagnosis: Diagnosis) -> str:
-    texts = (f"{each.name} ({np.ptp(each.time):.3g} s)" for each in diagnosis.traces)
-    return "; ".join(texts) or "records that contradict the model"
+    said = (f"{each.name} ({np.ptp(each.time):.3g} s)" for each in diagnosis.traces)
+    return "; ".join(said) or "records that contradict the model"
 
 
 def _effects(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _round(found: Round, wording: Wording) -> dict[str, Any]:
         "gain": None if best is None else best.gain,
         "null_level": found.null_level,
         "p": found.p,
-        "decision": said(found.decision),
+        "decision": words_of(found.decision),
     }
 
 
@@ -178,6 +178,6 @@ def _model(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
     return {
         "columns": columns,
         "units": units,
-        "caveats": excited.pop("caveats"),
+        "caveats": excited.pop("caveats", ()),
         "excited": excited,
     }

@@ -50,12 +50,13 @@ class ReportWriter:
         return validation_content(answer)
 
     def notebook(self, answer: Diagnosis | Validation) -> str:
-        """Return what a notebook shows."""
-        if isinstance(answer, Diagnosis):
-            return pages.render(
-                "bristle.diagnosis.report/notebook.html",
-                diagnosis=answer,
-                heading=headline(answer),
-                verdict=VERDICTS[answer.verdict],
-            )
-        return pages.render("bristle.diagnosis.report/validation_notebook.html", validation=answer)
+        """Return what a notebook shows: the answer, and a table of its numbers."""
+        if isinstance(answer, Validation):
+            page = "bristle.diagnosis.report/validation_notebook.html"
+            return pages.render(page, validation=answer)
+        return pages.render(
+            "bristle.diagnosis.report/notebook.html",
+            diagnosis=answer,
+            heading=headline(answer),
+            verdict=VERDICTS[answer.verdict],
+        )

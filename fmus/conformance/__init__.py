@@ -2,7 +2,7 @@
 description or the behaviour.
 """
 
-from bristle.fmus.conformance import (  # noqa: F401  they fill the registries
+from bristle.fmus.conformance import (  # noqa: F401 - they fill the registries
     archive,
     binary,
     calling,
@@ -14,14 +14,20 @@ from bristle.fmus.conformance import (  # noqa: F401  they fill the registries
     values,
 )
 from bristle.fmus.conformance.judgement import conformance
-from bristle.fmus.conformance.registry import POINTS, Result, Severity, Verdict, static_conformance
+from bristle.fmus.conformance.registry import (
+    POINTS,
+    PointResult,
+    Severity,
+    Verdict,
+    static_conformance,
+)
 from bristle.fmus.conformance.report import junit, sarif, to_lines, to_tree
 from bristle.fmus.conformance.running import BEHAVIOUR
 
 __all__ = [
     "BEHAVIOUR",
     "POINTS",
-    "Result",
+    "PointResult",
     "Severity",
     "Verdict",
     "conformance",

@@ -99,22 +99,27 @@ def demanded(package: Package) -> list[str]:
 )
 def _folder(package: Package) -> Iterator[str]:
     for folder, names in package.binary_folders.items():
-        kind, machines = _expected(folder)
+        kind, _ = _expected(folder)
         if not kind:
             yield f"binaries/{folder}: no platform of FMI {package.fmi}"
+            continue
+        others = {suffix for suffix in SUFFIX_OF.values() if suffix != SUFFIX_OF[kind]}
         for name in names:
-            suffix = PurePosixPath(name).suffix
-            if kind and suffix in SUFFIX_OF.values() and suffix != SUFFIX_OF[kind]:
+            if PurePosixPath(name).suffix in others:
                 yield f"{name}: a library of another system"
+    yield from _machines(package)
+
+
+def _machines(package: Package) -> Iterator[str]:
+    """Give the libraries that are not for the system and machine of their folder."""
     for name in dict.fromkeys(library.name for library in package.libraries):
         # several, if it is for several machines
         parts = [library for library in package.libraries if library.name == name]
         kind, machines = _expected(parts[0].folder)
         found = sorted({library.machine for library in parts})
         if kind and (parts[0].format != kind or machines.isdisjoint(found)):
-            yield (
-                f"{name}: {parts[0].format or 'no library'} for {', '.join(found) or 'no machine'}"
-            )
+            form, machine = parts[0].format or "no library", ", ".join(found) or "no machine"
+            yield f"{name}: {form} for {machine}"
 
 
 def _expected(folder: str) -> tuple[str, set[str]]:

@@ -8,11 +8,13 @@ from pathlib import Path
 from bristle.common.errors import BristleError
 from bristle.fmus.conformance.instance import Subject
 from bristle.fmus.conformance.process import Row, examined, read_alone
-from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict
+from bristle.fmus.conformance.registry import POINTS, Point, PointResult, Verdict
 from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
 
 
-def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
+def conformance(
+    path: Path, progress: Callable[[str, float], None] | None = None
+) -> list[PointResult]:
     """Return the result of each point for an FMU: of its archive, libraries and description, then
     of its behaviour.
 
@@ -48,5 +50,5 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
     return [_result(point, found[point.id]) for point in every]
 
 
-def _result(point: Point | BehaviourPoint, row: Row) -> Result:
-    return Result(point, row["verdict"], tuple(row["findings"]))
+def _result(point: Point | BehaviourPoint, row: Row) -> PointResult:
+    return PointResult(point, row["verdict"], tuple(row["findings"]))

@@ -83,26 +83,32 @@ def _elf(part: Any) -> dict[str, Any]:
     tag = lief.ELF.DynamicEntry.TAG
     searched = [e for e in part.dynamic_entries if e.tag in (tag.RPATH, tag.RUNPATH)]
     stack = [s for s in part.segments if s.type == lief.ELF.Segment.TYPE.GNU_STACK]
-    flags = [
-        e
-        for e in part.dynamic_entries
-        if e.tag == tag.FLAGS and lief.ELF.DynamicEntryFlags.FLAG.TEXTREL in e
-    ]
-    versions = [
-        GLIBC.fullmatch(a.name)
-        for r in part.symbols_version_requirement
-        for a in r.get_auxiliary_symbols()
-    ]
     return {
         "machine": _machine(part.header.machine_type),
         "exported": frozenset(s.name for s in part.exported_symbols),
         "needed": tuple(part.libraries),
         "searched": tuple(path for e in searched for path in e.paths),
         "executable_stack": not stack or any(s.has(lief.ELF.Segment.FLAGS.X) for s in stack),
-        "text_relocations": part.has(tag.TEXTREL) or bool(flags),
+        "text_relocations": _relocates(part),
         "imports_python": _python(s.name for s in part.dynamic_symbols if not s.shndx),
-        "glibc": max(((int(v[1]), int(v[2])) for v in versions if v), default=(0, 0)),
+        "glibc": _glibc(part),
     }
+
+
+def _relocates(part: Any) -> bool:
+    """Return whether a library changes its code when it is loaded."""
+    import lief
+
+    tag, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.DynamicEntryFlags.FLAG.TEXTREL
+    flags = (e for e in part.dynamic_entries if e.tag == tag.FLAGS)
+    return part.has(tag.TEXTREL) or any(flag in e for e in flags)
+
+
+def _glibc(part: Any) -> tuple[int, int]:
+    """Return the newest version of glibc that a library needs."""
+    needed = (r.get_auxiliary_symbols() for r in part.symbols_version_requirement)
+    versions = (GLIBC.fullmatch(each.name) for symbols in needed for each in symbols)
+    return max(((int(v[1]), int(v[2])) for v in versions if v), default=(0, 0))
 
 
 def _pe(part: Any) -> dict[str, Any]:

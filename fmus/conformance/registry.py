@@ -54,9 +54,7 @@ class Package:
         return [entry.filename for entry in self.entries]
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of an entry; none if it cannot be unpacked or is larger than
-        LARGEST_READ.
-        """
+        """Return the bytes of an entry; none if it is damaged or larger than LARGEST_READ."""
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
                 data = file.read(LARGEST_READ + 1)
@@ -127,7 +125,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Result:
+class PointResult:
     """The verdict of a point, with what it found or why it was not tested."""
 
     point: Point | BehaviourPoint
@@ -166,7 +164,7 @@ def parsed(text: bytes) -> Any:
         raise ValueError(str(error)) from None
 
 
-def static_conformance(path: Path) -> list[Result]:
+def static_conformance(path: Path) -> list[PointResult]:
     """Return the result of each point for an FMU; it is read, not run.
 
     Raises
@@ -192,8 +190,8 @@ def static_conformance(path: Path) -> list[Result]:
     return [_result(each, package) for each in POINTS.values()]
 
 
-def _result(each: Point, package: Package) -> Result:
+def _result(each: Point, package: Package) -> PointResult:
     if each.needs_description and package.root is None:
-        return Result(each, Verdict.not_tested, ("modelDescription.xml cannot be read",))
+        return PointResult(each, Verdict.not_tested, ("modelDescription.xml cannot be read",))
     findings = tuple(each.judge(package))
-    return Result(each, Verdict.failed if findings else Verdict.passed, findings)
+    return PointResult(each, Verdict.failed if findings else Verdict.passed, findings)

@@ -9,14 +9,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bristle.common.xml import printable
-from bristle.fmus.conformance.registry import Result, Verdict
+from bristle.fmus.conformance.registry import PointResult, Verdict
 
 ORDER = (Verdict.failed, Verdict.not_tested, Verdict.not_applicable, Verdict.passed)
 MOST_NAMED = 6  # points in a line
 SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 
-def to_lines(results: Sequence[Result]) -> list[str]:
+def to_lines(results: Sequence[PointResult]) -> list[str]:
     """Return a line for each finding and each reason, one for points that share it, and last the
     numbers of points.
     """
@@ -55,7 +55,7 @@ def _several(points: Sequence[str]) -> str:
     )
 
 
-def to_tree(path: Path, results: Sequence[Result]) -> dict[str, Any]:
+def to_tree(path: Path, results: Sequence[PointResult]) -> dict[str, Any]:
     """Return the results for a JSON file."""
     rows = [
         {
@@ -70,7 +70,7 @@ def to_tree(path: Path, results: Sequence[Result]) -> dict[str, Any]:
     return {"fmu": str(path), "points": rows}
 
 
-def junit(path: Path, results: Sequence[Result]) -> bytes:
+def junit(path: Path, results: Sequence[PointResult]) -> bytes:
     """Return the results as JUnit: a test case a point; what is not applicable or not tested is
     skipped.
     """
@@ -94,7 +94,7 @@ def junit(path: Path, results: Sequence[Result]) -> bytes:
     return bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True))
 
 
-def sarif(path: Path, results: Sequence[Result]) -> dict[str, Any]:
+def sarif(path: Path, results: Sequence[PointResult]) -> dict[str, Any]:
     """Return the results as SARIF 2.1.0: a rule a point, a result a finding of a point that failed
     or could not be tested.
     """

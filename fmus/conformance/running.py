@@ -87,9 +87,7 @@ def ask_several(subject: Subject, kind: str = CO_SIMULATION) -> None:
 
 
 def numbers(subject: Subject, causality: str = "output") -> list[str]:
-    """Return the variables of a causality that are numbers or Booleans and can be read at any
-    time.
-    """
+    """Return the variables of a causality that are numbers or Booleans, readable at any time."""
     return [
         name
         for name in subject.names(causality)

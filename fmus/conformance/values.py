@@ -1,6 +1,4 @@
-"""Points of values: starts, what can be read and set, ranges, declared dependencies and
-derivatives.
-"""
+"""Points of values: starts, access, ranges, declared dependencies and derivatives."""
 
 from __future__ import annotations
 
@@ -65,9 +63,7 @@ def same(expected: Any, found: Any) -> bool:
 
 
 def exact(subject: Subject) -> list[str]:
-    """Return the variables whose value in initialisation mode is the start value of the
-    description.
-    """
+    """Return the variables whose value in initialisation mode is the declared start."""
     found = [
         name
         for name, v in subject.variables.items()
@@ -329,8 +325,7 @@ def slopes(
 def wrong_slopes(
     instance: Instance, unknowns: Sequence[str], known: str, size: float, *, quiet: bool = False
 ) -> Iterator[str]:
-    """Give the variables whose directional derivative by a known one is not the difference
-    quotient.
+    """Give the variables whose directional derivative by a known one is no difference quotient.
 
     Where the quotients to both sides differ there is no derivative to compare. `quiet`: a variable
     that does not move is not judged, because it may be computed in the next step.

@@ -218,14 +218,12 @@ def tested(
     share, moved = {}, {}
     for name in names:
         share[name] = state(f"share_{name}", "1", f"share of the {name} voltage that is applied")
-        moved[name] = state(
-            f"moved_{name}", "rad/s", f"velocity that comes from the {name} voltage"
-        )
+        meaning = f"velocity that comes from the {name} voltage"
+        moved[name] = state(f"moved_{name}", "rad/s", meaning)
         turned = state(f"turned_{name}", "rad", "its integral")
         acting = state(f"acting_{name}", "V", f"the whole {name} voltage")
-        new = update(
-            f"moved_{name}", _over(gain.inertia * moved[name] + h * (acting - p.ki * turned), whole)
-        )
+        momentum = gain.inertia * moved[name] + h * (acting - p.ki * turned)
+        new = update(f"moved_{name}", _over(momentum, whole))
         update(f"turned_{name}", turned + h * new)
         update(f"acting_{name}", voltages[name])
     alone = error + sum(share[name] * moved[name] for name in names)
@@ -240,13 +238,10 @@ def tested(
         (one, other): averaged(f"{one}_{other}", moved[one] * moved[other]) for one, other in pairs
     }
     for name in names:
-        square = products[name, name]
-        rest = sum(
-            share[other] * products[min(name, other), max(name, other)]
-            for other in names
-            if other != name
-        )
-        best = ca.fmin(ca.fmax(_over(with_error[name] - rest, square), 0), LARGEST_SHARE)
+        others = [other for other in names if other != name]
+        rest = sum(share[x] * products[min(name, x), max(name, x)] for x in others)
+        unbounded = _over(with_error[name] - rest, products[name, name])
+        best = ca.fmin(ca.fmax(unbounded, 0), LARGEST_SHARE)
         share[name] = update(f"share_{name}", steady[name] * best)
     return share
 

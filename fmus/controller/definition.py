@@ -78,8 +78,7 @@ CUTOFF = Parameter(
 
 
 def _constants(system: System, p: Namespace) -> Namespace:
-    """Filter coefficients, and the stationary covariance P of the two sections for the rms asked
-    for.
+    """Filter coefficients, and the stationary covariance P of two sections for the rms asked for.
 
     Section i: x_i' = a x_i + (1 - a) w_i with w_1 = g n (n white, variance 1) and w_2 = x_1'.
     """

@@ -19,7 +19,7 @@ from bristle.common.files import check_regular
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import Array
-from bristle.harness.baseline.repeats import Repeat, Repeated, repeats
+from bristle.harness.baseline.repeats import Repeat, RepeatedRun, repeats
 from bristle.harness.baseline.tube import SAFETY, WRITTEN_SHARE, Spread
 from bristle.harness.metrics.checks import look_up
 from bristle.harness.run.checked import Checked
@@ -130,7 +130,7 @@ def _check_end(checked: Checked, result: Mapping[str, Any]) -> None:
         raise checked.setup.loaded.error("duration", None, f"{message} reaches its end")
 
 
-def _tried(way: Repeat) -> tuple[Repeated | None, str]:
+def _tried(way: Repeat) -> tuple[RepeatedRun | None, str]:
     """Return a repeated run, or why it could not be done: a compiler that fails says nothing about
     the scenario.
     """
@@ -140,7 +140,7 @@ def _tried(way: Repeat) -> tuple[Repeated | None, str]:
         return None, str(error)
 
 
-def _differing(reference: Mapping[str, Array], again: Repeated | None) -> int:
+def _differing(reference: Mapping[str, Array], again: RepeatedRun | None) -> int:
     """Return how many signals are not the same to the last digit."""
     if again is None:
         return 0

@@ -28,8 +28,8 @@ from bristle.harness.baseline.baseline import (
 )
 from bristle.harness.baseline.tube import written_margin
 from bristle.harness.baseline.verdicts import (
-    Comparison,
     QuantityVerdict,
+    RunComparison,
     SignalCourse,
     SignalVerdict,
     comparison_json,
@@ -143,7 +143,7 @@ def _read_signals(
 # -- judging ---------------------------------------------------------------------------------------
 
 
-def compare_folders(first: Path, second: Path) -> Comparison:
+def compare_folders(first: Path, second: Path) -> RunComparison:
     """Judge the run or baseline `second` against the baseline or run `first`.
 
     Raises
@@ -161,14 +161,14 @@ def compare_folders(first: Path, second: Path) -> Comparison:
     return replace(found, first=str(first), second=str(second), notes=(*notes, *found.notes))
 
 
-def compare_sides(a: Baseline, b: Baseline) -> Comparison:
+def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
     """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both
     have.
     """
     result_a, result_b = a.result, b.result
     notes = _origins(result_a, result_b)
     refused = _refused(result_a, result_b)
-    found = Comparison(
+    found = RunComparison(
         "A",
         "B",
         scenario=str(result_a["scenario"]),
@@ -346,7 +346,7 @@ def judge_quantity(path: str, first: Judged, second: Judged | None) -> QuantityV
 # -- files -----------------------------------------------------------------------------------------
 
 
-def write_comparison(found: Comparison, out: Path) -> Path:
+def write_comparison(found: RunComparison, out: Path) -> Path:
     """Write `out/compare.html` and `out/compare.json`; return the first."""
     from bristle.harness.baseline.comparison_page import render
 

@@ -29,7 +29,7 @@ from bristle.common.pages import unit
 from bristle.common.time_plot import extremes
 from bristle.harness.baseline.tube import EXACT_MARGIN
 from bristle.harness.baseline.verdicts import (
-    Comparison,
+    RunComparison,
     SignalCourse,
     SignalVerdict,
     counts,
@@ -51,7 +51,7 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_FIGURES = 24  # signals that are drawn, those farthest from their references first
 
 
-def render(found: Comparison) -> str:
+def render(found: RunComparison) -> str:
     """Return the page, of at most `PAGE_BYTES`: figures that do not fit are left out."""
     moving = _moving(found)
     figures: dict[str, Drawing] = {}
@@ -66,7 +66,7 @@ def render(found: Comparison) -> str:
     return page
 
 
-def _page(found: Comparison, figures: Mapping[str, Drawing], moving: int) -> str:
+def _page(found: RunComparison, figures: Mapping[str, Drawing], moving: int) -> str:
     inside, judged = counts(found.signals)
     return pages.render(
         "bristle.harness.baseline/compare.html",
@@ -79,7 +79,7 @@ def _page(found: Comparison, figures: Mapping[str, Drawing], moving: int) -> str
     )
 
 
-def _moving(found: Comparison) -> list[SignalVerdict]:
+def _moving(found: RunComparison) -> list[SignalVerdict]:
     """Return the signals that move, those farthest from their references first."""
     moving = [
         each

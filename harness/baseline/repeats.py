@@ -22,8 +22,8 @@ from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.isolate import run_bus
 from bristle.harness.cosim.ports import PORTS
 from bristle.harness.run.outcome import measured
-from bristle.harness.run.view import View
-from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.run.view import RunView
+from bristle.harness.scenario.plan import RunSetup, identification, prepare
 from bristle.model.compiler import Toolchain, compiled_with, find_compiler, known_compilers
 
 ROUNDED_RUNS = 8  # runs in which start values are moved by one unit in the last place
@@ -37,7 +37,7 @@ CPU_FLAGS = Path("/proc/cpuinfo")
 
 
 @dataclass(frozen=True)
-class Repeated:
+class RepeatedRun:
     """A repeated run: signals at full rate by name, and its result."""
 
     signals: Mapping[str, Array]
@@ -49,10 +49,10 @@ class Repeat:
     """A way to run a scenario again: what changes, in words, and the run itself."""
 
     name: str
-    run: Callable[[], Repeated]
+    run: Callable[[], RepeatedRun]
 
 
-def repeats(setup: Setup) -> list[Repeat]:
+def repeats(setup: RunSetup) -> list[Repeat]:
     """Return all ways to run a scenario again that this machine has."""
     rounded = [
         Repeat(f"start values rounded otherwise, {k}", partial(run_rounded, setup, k))
@@ -66,7 +66,7 @@ def repeats(setup: Setup) -> list[Repeat]:
     return [*rounded, *built, *_other_steps(setup)]
 
 
-def run_again(setup: Setup, bus: Bus | None = None) -> Repeated:
+def run_again(setup: RunSetup, bus: Bus | None = None) -> RepeatedRun:
     """Run a scenario, or a bus of it, to its end.
 
     Raises
@@ -81,14 +81,14 @@ def run_again(setup: Setup, bus: Bus | None = None) -> Repeated:
             f"{setup.loaded.path}: the run ends at {failure.time:g} s: {failure.unit}:"
             f" {failure.message}"
         )
-    view = View(setup, trace)
-    return Repeated(view.columns(), measured(setup, trace, view))
+    view = RunView(setup, trace)
+    return RepeatedRun(view.columns(), measured(setup, trace, view))
 
 
 # -- rounding --------------------------------------------------------------------------------------
 
 
-def run_rounded(setup: Setup, seed: int) -> Repeated:
+def run_rounded(setup: RunSetup, seed: int) -> RepeatedRun:
     """Run with all start values, and the samples of a record, one unit in the last place up or
     down, as `seed` chooses.
     """
@@ -106,7 +106,7 @@ def run_rounded(setup: Setup, seed: int) -> Repeated:
     return run_again(setup, bus)
 
 
-def _moved(setup: Setup, unit: str, random: np.random.Generator) -> dict[str, Value]:
+def _moved(setup: RunSetup, unit: str, random: np.random.Generator) -> dict[str, Value]:
     """Return the start values of a unit that are not 0, moved by one unit in the last place where
     their interval has room.
     """
@@ -123,7 +123,7 @@ def _moved(setup: Setup, unit: str, random: np.random.Generator) -> dict[str, Va
     return found
 
 
-def _is_moved(setup: Setup, unit: str, name: str) -> bool:
+def _is_moved(setup: RunSetup, unit: str, name: str) -> bool:
     """Say whether a parameter is a number that the chosen law, its effects or the chosen method
     read.
     """
@@ -144,7 +144,7 @@ def _is_moved(setup: Setup, unit: str, name: str) -> bool:
 # -- compilers -------------------------------------------------------------------------------------
 
 
-def _compiled(setup: Setup) -> bool:
+def _compiled(setup: RunSetup) -> bool:
     """Say whether an FMU takes part that this machine compiles."""
     return any(not fmu.risky for fmu in setup.fmus.values())
 
@@ -185,14 +185,14 @@ def fused_flags() -> tuple[str, ...]:
     return ("-ffp-contract=fast", "-mfma") if known else ()
 
 
-def run_built(setup: Setup, toolchain: Toolchain) -> Repeated:
+def run_built(setup: RunSetup, toolchain: Toolchain) -> RepeatedRun:
     """Run with FMUs that a toolchain compiles, each of the chosen law or method alone: the same
     equations, sooner compiled.
     """
     return run_again(built(setup, toolchain))
 
 
-def built(setup: Setup, toolchain: Toolchain) -> Setup:
+def built(setup: RunSetup, toolchain: Toolchain) -> RunSetup:
     """Return a scenario on FMUs that a toolchain compiles."""
     from bristle.fmus import obtain
 
@@ -211,7 +211,7 @@ def built(setup: Setup, toolchain: Toolchain) -> Setup:
 # -- internal steps --------------------------------------------------------------------------------
 
 
-def _other_steps(setup: Setup) -> list[Repeat]:
+def _other_steps(setup: RunSetup) -> list[Repeat]:
     """Return the runs with other internal steps of the plant, where it has such parameters."""
     plant = setup.fmus.get("plant")
     known = [name for name in STEP_PARAMETERS if plant is not None and plant.has(name, "parameter")]
@@ -232,5 +232,5 @@ def _other_steps(setup: Setup) -> list[Repeat]:
     return found
 
 
-def _given(setup: Setup, name: str) -> float:
+def _given(setup: RunSetup, name: str) -> float:
     return float(setup.values["plant"].get(name, setup.fmus["plant"].start(name)))

@@ -68,7 +68,7 @@ class SignalCourse:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RunComparison:
     """Verdicts of all signals and numbers, what makes both incomparable, and what is said without
     being judged.
 
@@ -102,7 +102,7 @@ class Comparison:
         )
 
 
-def comparison_json(found: Comparison) -> bytes:
+def comparison_json(found: RunComparison) -> bytes:
     """Return the content of compare.json."""
     return to_json(
         plain(
@@ -134,7 +134,7 @@ def _row(each: SignalVerdict | QuantityVerdict) -> dict[str, Any]:
     return row
 
 
-def differences(found: Comparison) -> list[str]:
+def differences(found: RunComparison) -> list[str]:
     """Return a line for each thing that differs."""
     lines = list(found.refused)
     for signal in (each for each in found.signals if not each.passed):

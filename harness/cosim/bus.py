@@ -20,7 +20,7 @@ LOOKS = 200  # such looks in a run, at least
 
 
 @dataclass(frozen=True)
-class Instance:
+class BusUnit:
     """One unit on the bus: an FMU and its start values."""
 
     name: str
@@ -39,7 +39,7 @@ class Bus:
     the unit got from t_k to t_k+1, its mean if that are several communication steps.
     """
 
-    instances: tuple[Instance, ...]
+    instances: tuple[BusUnit, ...]
     steps: int
     h: float
     links: tuple[tuple[Port, Port], ...] = ()
@@ -105,7 +105,7 @@ class Readings:
 
 
 @dataclass
-class Trace:
+class BusTrace:
     """What a run leaves behind: row k of `values` is the bus at start + k h."""
 
     record: tuple[Port, ...]
@@ -147,14 +147,14 @@ class Trace:
         ends[-1] = len(self.values)
         return np.diff(ends, prepend=0)
 
-    def from_first_sample(self, factors: Mapping[Port, float]) -> Trace:
+    def from_first_sample(self, factors: Mapping[Port, float]) -> BusTrace:
         """Return it as belongs to a record: row k is what was published after sample k, each column
         times its factor.
         """
         if not self.steps:
             return self
         scales = np.array([factors[port] for port in self.record])
-        return Trace(
+        return BusTrace(
             self.record,
             self.values[1:] * scales,
             self.h,

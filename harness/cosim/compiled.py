@@ -27,7 +27,7 @@ SHORT_CALL = 0.02
 HUGE = 1e9  # an estimate beyond this has diverged
 
 
-class Unit(ctypes.Structure):
+class LoopUnit(ctypes.Structure):
     """What the compiled loop needs to know of a unit."""
 
     _fields_ = [
@@ -129,7 +129,7 @@ class Memory:
 
     Attributes
     ----------
-    units : array of Unit
+    units : array of LoopUnit
         In the order of the bus.
     address : function
         Where the variable is.
@@ -141,7 +141,7 @@ class Memory:
         What the loop records.
     """
 
-    units: ctypes.Array[Unit]
+    units: ctypes.Array[LoopUnit]
     address: Callable[[Port, int], int]
     worth: Callable[[Port], float]
     flag: Callable[[Port, int], tuple[int, int, int]]

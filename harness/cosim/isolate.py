@@ -12,7 +12,7 @@ import numpy as np
 
 from bristle.fmus.calls import Control
 from bristle.fmus.isolate import isolated
-from bristle.harness.cosim.bus import Bus, Failure, Progress, Readings, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace, Failure, Progress, Readings
 from bristle.harness.cosim.loop import default_engine, simulate
 
 
@@ -22,7 +22,7 @@ def simulate_isolated(
     *,
     engine: str | None = None,
     timeout: float | None = None,
-) -> Trace:
+) -> BusTrace:
     """Run a bus in a child process, which may take `timeout` seconds.
 
     Raises
@@ -42,7 +42,7 @@ def simulate_isolated(
     )
 
 
-def run_bus(bus: Bus, progress: Progress | None = None, timeout: float | None = None) -> Trace:
+def run_bus(bus: Bus, progress: Progress | None = None, timeout: float | None = None) -> BusTrace:
     """Run a bus: in a child process if an FMU may harm its own, which may then take `timeout`
     seconds; errors as above.
     """
@@ -62,7 +62,7 @@ def _simulate(asked: tuple[Bus, str], control: Control) -> dict[str, Any]:
     }
 
 
-def _trace(bus: Bus, answer: Any) -> Trace:
+def _trace(bus: Bus, answer: Any) -> BusTrace:
     """Return the trace of which `_simulate` answered the parts."""
     values, rows = (
         np.asarray(answer["values"], dtype=float),
@@ -78,4 +78,4 @@ def _trace(bus: Bus, answer: Any) -> Trace:
     failure = answer["failure"]
     if failure is not None:
         failure = Failure(str(failure[0]), float(failure[1]), str(failure[2]))
-    return Trace(bus.record, values, bus.h, Readings(bus.flags, rows, flags), failure, bus.start)
+    return BusTrace(bus.record, values, bus.h, Readings(bus.flags, rows, flags), failure, bus.start)

@@ -15,12 +15,21 @@ from numpy.typing import NDArray
 
 from bristle.fmus.calls import CONTROL_SIZE, WATCH, Call
 from bristle.fmus.host import Slave
-from bristle.harness.cosim.bus import Array, Bus, Failure, Instance, Port, Progress, Readings, Trace
+from bristle.harness.cosim.bus import (
+    Array,
+    Bus,
+    BusTrace,
+    BusUnit,
+    Failure,
+    Port,
+    Progress,
+    Readings,
+)
 from bristle.harness.cosim.compiled import (
     HUGE,
     Compiled,
+    LoopUnit,
     Memory,
-    Unit,
     native_available,
     pointer,
 )
@@ -52,7 +61,7 @@ class Session:
             self.close()
             raise
 
-    def _node(self, instance: Instance) -> Node:
+    def _node(self, instance: BusUnit) -> Node:
         bus, name = self.bus, instance.name
         slave = self._slaves.take(instance)
         self._taken.append(slave)
@@ -94,12 +103,12 @@ class Session:
 
     # -- compiled ----------------------------------------------------------------------------------
 
-    def run(self, progress: Progress | None = None) -> Trace:
+    def run(self, progress: Progress | None = None) -> BusTrace:
         """Run all steps in the compiled loop, in several calls, so that Python can look after the
         user between them.
         """
         bus, names = self.bus, list(self.nodes)
-        units = (Unit * len(names))(*(node.structure() for node in self.nodes.values()))
+        units = (LoopUnit * len(names))(*(node.structure() for node in self.nodes.values()))
         means = self.averaged.astype(np.int64) if self.averaged.any() else None
         memory = Memory(units, self._address, self._worth, self._flag, self.values[None])
         compiled = Compiled([bus], memory, self.control, means)
@@ -122,7 +131,7 @@ class Session:
 
     # -- FMPy's calls ------------------------------------------------------------------------------
 
-    def run_fmpy(self, progress: Progress | None = None) -> Trace:
+    def run_fmpy(self, progress: Progress | None = None) -> BusTrace:
         """Do the same through FMPy's own calls: the fallback without a compiler, and the check on
         the compiled loop.
         """
@@ -241,10 +250,10 @@ class Session:
             unit, float(self.bus.start + row * self.bus.h), f"|{name}| is beyond {HUGE:g}"
         )
 
-    def _trace(self, time: float, failure: Failure | None = None) -> Trace:
+    def _trace(self, time: float, failure: Failure | None = None) -> BusTrace:
         rows, self._sound = round(time / self.bus.h) + 1, failure is None
         flags = Readings.of(self.bus.flags, self._looks)
-        return Trace(
+        return BusTrace(
             self.bus.record, self.values[:rows], self.bus.h, flags, failure, self.bus.start
         )
 
@@ -256,7 +265,7 @@ def simulate(
     engine: str | None = None,
     control: NDArray[np.int64] | None = None,
     slaves: Slaves | None = None,
-) -> Trace:
+) -> BusTrace:
     """Run a bus in this process.
 
     Parameters

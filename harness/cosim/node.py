@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from bristle.fmus.host import Slave
-from bristle.harness.cosim.bus import Array, Instance
+from bristle.harness.cosim.bus import Array, BusUnit
 from bristle.harness.cosim.compiled import (
-    Unit,
+    LoopUnit,
     pointer,
 )
 
@@ -33,7 +33,7 @@ class Node:
         )
         self.output = np.zeros(len(self.outputs))
 
-    def structure(self) -> Unit:
+    def structure(self) -> LoopUnit:
         """Return what the compiled loop needs to know."""
         three, address = self.slave.fmu.fmi == 3, self.slave.address
         prefix, number = ("fmi3", "Float64") if three else ("fmi2", "Real")
@@ -47,7 +47,7 @@ class Node:
             len(whole) - numbers
             for whole, numbers in zip((self.inputs, self.outputs), self.numbers, strict=True)
         ]
-        return Unit(
+        return LoopUnit(
             component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays
         )
 
@@ -104,7 +104,7 @@ class Slaves:
     def __init__(self) -> None:
         self._kept: dict[tuple[str, Path], Slave] = {}
 
-    def take(self, instance: Instance) -> Slave:
+    def take(self, instance: BusUnit) -> Slave:
         """Return the loaded FMU of an instance, not initialised yet; it must not be in use."""
         key = instance.name, instance.fmu.path
         slave = self._kept.pop(key, None)

@@ -18,12 +18,12 @@ from bristle.common.errors import BristleError
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import Array
-from bristle.harness.cosim.bus import Bus, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace
 from bristle.harness.cosim.isolate import run_bus
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.outcome import verdict
 from bristle.harness.run.run import build_and_check
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 Told = Callable[[str, float], None]
 
@@ -67,7 +67,7 @@ class Scheme:
 
 
 @dataclass(frozen=True)
-class Coupling:
+class CouplingCost:
     """All schemes, verdict and estimates of the refined run, and by signal the order at which its
     error falls with the step.
     """
@@ -82,8 +82,8 @@ class Coupling:
 
 
 def coupling(
-    path: Path, out: Path, options: Options | None = None, progress: Told | None = None
-) -> Coupling:
+    path: Path, out: Path, options: RunOptions | None = None, progress: Told | None = None
+) -> CouplingCost:
     """Run a scenario in several couplings, and write `out/coupling.json` and `out/report.html`.
 
     Parameters
@@ -92,7 +92,7 @@ def coupling(
         The scenario file, with a [plant].
     out : Path
         The folder.
-    options : Options, optional
+    options : RunOptions, optional
         As of `bristle.run`.
     progress : function, optional
         Called with what runs next and the share that is done.
@@ -116,7 +116,7 @@ def coupling(
     return found
 
 
-def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
+def compare(setup: RunSetup, bus: Bus, progress: Told) -> CouplingCost:
     """Run a bus in all couplings."""
     bus = replace(bus, record=(*bus.record, APPLIED))
     divided = {parts: f"all at once, step {bus.h / parts:g} s" for parts in DIVISIONS}
@@ -128,7 +128,7 @@ def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
         name: _scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows)
         for name in others
     }
-    return Coupling(
+    return CouplingCost(
         setup.loaded.name,
         bus.h,
         _judged(setup, traces[best]),
@@ -139,7 +139,7 @@ def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
     )
 
 
-def _ways(bus: Bus, divided: Mapping[int, str]) -> dict[str, Callable[[], Trace]]:
+def _ways(bus: Bus, divided: Mapping[int, str]) -> dict[str, Callable[[], BusTrace]]:
     """Return how the bus is run, by name, the refined way first; `divided` names the ways with all
     FMUs at once.
     """
@@ -155,10 +155,10 @@ def _ways(bus: Bus, divided: Mapping[int, str]) -> dict[str, Callable[[], Trace]
 
 
 def _traces(
-    scenario: str, bus: Bus, ways: Mapping[str, Callable[[], Trace]], progress: Told
-) -> tuple[dict[str, Trace], tuple[str, ...]]:
+    scenario: str, bus: Bus, ways: Mapping[str, Callable[[], BusTrace]], progress: Told
+) -> tuple[dict[str, BusTrace], tuple[str, ...]]:
     """Run a bus in all ways; return the runs that came to their end, and a note on each other."""
-    traces: dict[str, Trace] = {}
+    traces: dict[str, BusTrace] = {}
     notes: list[str] = []
     for k, (name, run) in enumerate(ways.items()):
         progress(name, k / len(ways))
@@ -176,7 +176,7 @@ def _traces(
     return traces, tuple(notes)
 
 
-def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:
+def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> BusTrace:
     """Run a bus with its step divided into parts; sampled FMUs keep their sample time.
 
     All FMUs at once (Jacobi), or in an order of their names, each with what those before it have
@@ -206,14 +206,15 @@ def delay(signal: Array, reference: Array, h: float) -> float | None:
     return shift
 
 
-def _judged(setup: Setup, trace: Trace) -> str:
+def _judged(setup: RunSetup, trace: BusTrace) -> str:
     """Return the verdict; the input that acts on the plant is no signal of a result."""
     return verdict(
-        setup, Trace(trace.record[:-1], trace.values[:, :-1], trace.h, trace.flags, trace.failure)
+        setup,
+        BusTrace(trace.record[:-1], trace.values[:, :-1], trace.h, trace.flags, trace.failure),
     )
 
 
-def _scheme(name: str, verdict: str, trace: Trace, best: Trace, rows: int) -> Scheme:
+def _scheme(name: str, verdict: str, trace: BusTrace, best: BusTrace, rows: int) -> Scheme:
     errors = {}
     for unit, variable in trace.record:
         exact, got = best[unit, variable][:rows], trace[unit, variable][:rows]
@@ -231,7 +232,7 @@ def _scheme(name: str, verdict: str, trace: Trace, best: Trace, rows: int) -> Sc
     return Scheme(name, verdict, errors, _estimates(trace, rows))
 
 
-def _estimates(trace: Trace, rows: int) -> dict[str, float]:
+def _estimates(trace: BusTrace, rows: int) -> dict[str, float]:
     """Return the estimates of parameters at the end; those that the method does not give are 0, and
     left out.
     """
@@ -259,7 +260,7 @@ def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
     return found
 
 
-def _json(found: Coupling, made: Mapping[str, Any]) -> bytes:
+def _json(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
     schemes = [
         {
             "name": s.name,
@@ -285,7 +286,7 @@ def _json(found: Coupling, made: Mapping[str, Any]) -> bytes:
     return to_json(content).encode()
 
 
-def _page(found: Coupling, made: Mapping[str, Any]) -> bytes:
+def _page(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
     known = list(found.refined)
     ways = [
         ("refined", found.verdict, found.refined),

@@ -26,12 +26,12 @@ from bristle.common.provenance import provenance
 from bristle.common.signals import Array, signals_of
 from bristle.fmus.host import Fmu
 from bristle.fmus.related import FOLDER, MANIFEST, OWN_ANNOTATION, SUMS
-from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace, BusUnit, Port
 from bristle.harness.cosim.isolate import simulate_isolated
 from bristle.harness.exchange.archive import Archive, tree_of
 from bristle.harness.exchange.replay import (
     STEPS_BY_DEFAULT,
-    Agreement,
+    SignalAgreement,
     agreement,
     held,
     number_of_steps,
@@ -50,7 +50,7 @@ Read = Callable[[str], bytes]
 
 
 @dataclass(frozen=True)
-class Experiment:
+class FmuExperiment:
     """What a file says of an experiment; times in s, None: not said."""
 
     name: str
@@ -65,12 +65,12 @@ class Experiment:
 
 
 @dataclass(frozen=True)
-class Repeated:
+class RepeatedExperiment:
     """A repeated experiment."""
 
-    experiment: Experiment
-    agreement: tuple[Agreement, ...]
-    trace: Trace
+    experiment: FmuExperiment
+    agreement: tuple[SignalAgreement, ...]
+    trace: BusTrace
     # signals of the reference that are no numbers, or nothing that a run gives
     not_compared: tuple[str, ...] = ()
 
@@ -99,13 +99,13 @@ class Repeated:
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayedExperiments:
     """The experiments of an FMU, the files of it that do not have their checksum any more, and
     where the results are.
     """
 
     folder: Path
-    experiments: tuple[Repeated, ...]
+    experiments: tuple[RepeatedExperiment, ...]
     changed: tuple[str, ...]
 
     @property
@@ -120,7 +120,7 @@ def repeat(
     source: Path | None = None,
     timeout: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-) -> Replayed:
+) -> ReplayedExperiments:
     """Run the experiments of an FMU, and write `out/<name of the FMU or of the file>`.
 
     Parameters
@@ -147,7 +147,7 @@ def repeat(
         archive, described = _Fmu(fmu), Fmu(fmu, foreign=True)
         found = list(_inside(archive) if source is None else _beside(source))
         done = [_repeated(described, each, timeout, progress) for each in found]
-        replayed = Replayed(target, tuple(done), _changed(archive))
+        replayed = ReplayedExperiments(target, tuple(done), _changed(archive))
         results.write(out, target.name, _files(fmu, replayed))
     return replayed
 
@@ -157,7 +157,7 @@ class _Fmu(Archive):
     suffix = ".fmu"
 
 
-def _inside(archive: Archive) -> Iterator[Experiment]:
+def _inside(archive: Archive) -> Iterator[FmuExperiment]:
     """Give the experiments that an FMU holds."""
     if MANIFEST not in archive.names:
         raise archive.mistake(
@@ -176,7 +176,7 @@ def _inside(archive: Archive) -> Iterator[Experiment]:
             yield from _read(_resolved(MANIFEST, source), archive.read)
 
 
-def _beside(path: Path) -> Iterator[Experiment]:
+def _beside(path: Path) -> Iterator[FmuExperiment]:
     """Give the experiments of a file."""
 
     def read(name: str) -> bytes:
@@ -202,16 +202,16 @@ def _resolved(base: str, source: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(base), unquote(source)))
 
 
-def _read(name: str, read: Read) -> Iterator[Experiment]:
+def _read(name: str, read: Read) -> Iterator[FmuExperiment]:
     """Give the experiments of a file of an FMU or a folder."""
     root = tree_of(read(name), name)
-    if root.tag != "Experiments" or root.find("Experiment") is None:
+    if root.tag != "Experiments" or root.find("FmuExperiment") is None:
         raise BristleError(f"{name}: is no file of experiments (MA-HS-Experiments)")
-    for element in root.findall("Experiment"):
+    for element in root.findall("FmuExperiment"):
         yield _experiment(element, name, read)
 
 
-def _experiment(element: ET.Element, name: str, read: Read) -> Experiment:
+def _experiment(element: ET.Element, name: str, read: Read) -> FmuExperiment:
     about = element.find("TransientSimulation")
     kinds = [
         each.tag
@@ -244,7 +244,7 @@ def _experiment(element: ET.Element, name: str, read: Read) -> Experiment:
         if key != "Parameters"
     }
     own = element.find(f"Annotations/Annotation[@type='{OWN_ANNOTATION}']/Comparison")
-    return Experiment(
+    return FmuExperiment(
         element.get("name") or name,
         name,
         given.get("startTime"),
@@ -302,15 +302,15 @@ def _changed(archive: Archive) -> tuple[str, ...]:
 # -- running ---------------------------------------------------------------------------------------
 def _repeated(
     fmu: Fmu,
-    experiment: Experiment,
+    experiment: FmuExperiment,
     timeout: float | None,
     progress: Callable[[str, int, int], None] | None,
-) -> Repeated:
+) -> RepeatedExperiment:
     bus = _bus(fmu, experiment)
     tell = None if progress is None else lambda done: progress(experiment.name, done, bus.steps)
     trace = simulate_isolated(bus, tell, timeout=timeout)
     if experiment.reference is None or trace.failure is not None:
-        return Repeated(experiment, (), trace)
+        return RepeatedExperiment(experiment, (), trace)
     time, columns = experiment.reference
     outside = tuple(
         name for name in columns if name in fmu.variables and not _comparable(fmu, name)
@@ -322,7 +322,7 @@ def _repeated(
         if experiment.tolerance is None
         else (experiment.tolerance, 0)
     )
-    return Repeated(
+    return RepeatedExperiment(
         experiment, agreement((time, compared), trace.time, signals, limit, slack), trace, outside
     )
 
@@ -332,7 +332,7 @@ def _comparable(fmu: Fmu, name: str) -> bool:
     return variable.type in NUMBERS and variable.causality in RESULTING
 
 
-def _bus(fmu: Fmu, experiment: Experiment) -> Bus:
+def _bus(fmu: Fmu, experiment: FmuExperiment) -> Bus:
     """Return the FMU alone with the inputs of an experiment."""
     start, step, steps = _times(fmu, experiment)
     for name in experiment.values:
@@ -363,7 +363,7 @@ def _bus(fmu: Fmu, experiment: Experiment) -> Bus:
         (unit, name) for name in recorded if name in fmu.variables and _comparable(fmu, name)
     )
     return Bus(
-        (Instance(unit, fmu, dict(experiment.values)),),
+        (BusUnit(unit, fmu, dict(experiment.values)),),
         steps,
         step,
         series=series,
@@ -381,7 +381,7 @@ def _driven(fmu: Fmu, name: str, time: Array, values: Array, at: Array, step: fl
     return held(time, values, at, step)
 
 
-def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
+def _times(fmu: Fmu, experiment: FmuExperiment) -> tuple[float, float, int]:
     """Return start, step and number of steps: what the experiment says, else the FMU, else its
     reference.
     """
@@ -409,7 +409,7 @@ def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
 
 
 # -- results ---------------------------------------------------------------------------------------
-def _files(fmu: Path, replayed: Replayed) -> dict[str, str | bytes]:
+def _files(fmu: Path, replayed: ReplayedExperiments) -> dict[str, str | bytes]:
     rows = [
         {
             "name": each.experiment.name,

@@ -1,52 +1,36 @@
-"""A scenario as one file for another lab (SSP with its FMUs, reference signals and verdict), and
-the replay of such files.
-"""
+"""A scenario as one file for another lab: SSP with its FMUs, reference signals and verdict."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bristle.common import pages
-from bristle.common.errors import BristleError, suggest
+from bristle.common.errors import BristleError
 from bristle.common.output import output_folder, replace_files, to_json
-from bristle.common.provenance import provenance
 from bristle.common.signals import table_text
 from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
-from bristle.harness.cosim.bus import Bus, Instance, Port, Trace
-from bristle.harness.cosim.isolate import simulate_isolated
+from bristle.harness.cosim.bus import Bus, BusTrace, BusUnit
 from bristle.harness.exchange.archive import Archive
-from bristle.harness.exchange.replay import (
-    STEPS_BY_DEFAULT,
-    Agreement,
-    agreement,
-    held,
-    number_of_steps,
-    rows_of,
-    signals_text,
-    verdict_of,
-)
+from bristle.harness.exchange.replay import signals_text
 from bristle.harness.exchange.ssp import (
     CSV_TYPE,
     FMU_TYPE,
     Component,
-    Package,
     SystemStructure,
     package_files,
 )
-from bristle.harness.run import results
-from bristle.harness.run.checked import Checked, Options
+from bristle.harness.run.checked import Checked, RunOptions
 from bristle.harness.run.outcome import Outcome, outcome
 from bristle.harness.run.run import build_and_check
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 REFERENCE_SIGNALS = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
@@ -58,30 +42,9 @@ MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250
 REPLAY_TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True)
-class Replayed:
-    """A replayed package: its signals against the reference, if it has one, and where the results
-    are.
-    """
-
-    folder: Path
-    agreement: tuple[Agreement, ...]
-    failure: str = ""
-    compared: bool = True
-
-    @property
-    def verdict(self) -> str:
-        """As of `verdict_of`."""
-        return verdict_of(self.failure, self.compared, self.agreement)
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing failed."""
-        return self.verdict != "fail"
-
-
-# -- export ----------------------------------------------------------------------------------------
-def export(path: Path, out: Path, options: Options | None = None, platforms: str = "host") -> Path:
+def export(
+    path: Path, out: Path, options: RunOptions | None = None, platforms: str = "host"
+) -> Path:
     """Write a scenario as `out/<scenario>.ssp`, with fmus/, reference/ and README.md beside it;
     return the package.
 
@@ -91,7 +54,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         The scenario file.
     out : Path
         The folder.
-    options : Options, optional
+    options : RunOptions, optional
         As of `bristle.run`.
     platforms : str
         What the FMUs are compiled for, as of `bristle.build`.
@@ -130,7 +93,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
     return out / f"{name}.ssp"
 
 
-def _check_exportable(setup: Setup) -> None:
+def _check_exportable(setup: RunSetup) -> None:
     """Refuse what no importer could repeat from the package."""
     if setup.samples is not None:
         message = "a measured record is no co-simulation; export a scenario with a [plant]"
@@ -181,7 +144,7 @@ def _refuse_other(out: Path, name: str) -> None:
         )
 
 
-def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
+def _own_fmu(setup: RunSetup, name: str, folder: Path, platforms: str) -> Path:
     """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere
     as it is.
     """
@@ -210,7 +173,7 @@ def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
     )
 
 
-def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outcome) -> bytes:
+def _with_experiments(file: Path, name: str, bus: Bus, setup: RunSetup, found: Outcome) -> bytes:
     """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as
     it is.
     """
@@ -228,7 +191,7 @@ def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outc
     )
 
 
-def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
+def _part_of_run(name: str, bus: Bus, setup: RunSetup, trace: BusTrace) -> Experiment:
     """Return what a unit got and gave in the first steps of the run."""
     steps = min(bus.steps, MOST_STEPS_INSIDE)
     given = {port: each.values(bus.steps, bus.h) for each in setup.stimuli for port in each.ports}
@@ -254,14 +217,14 @@ def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
     )
 
 
-def _tabulated(setup: Setup) -> bool:
+def _tabulated(setup: RunSetup) -> bool:
     """True if an input is noise, which only a table gives; many tools take no table for a
     component.
     """
     return any(each.noise is not None for each in setup.stimuli)
 
 
-def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
+def _source_fmu(setup: RunSetup, folder: Path, platforms: str) -> Path:
     """Return an FMU of the stimuli."""
     from bristle.fmus.source import Source, build_source
 
@@ -281,7 +244,7 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
     return build_source(sources, setup.h, folder / f"{STIMULI}.fmu", platforms=platforms)
 
 
-def _numbers(setup: Setup, name: str) -> dict[str, float]:
+def _numbers(setup: RunSetup, name: str) -> dict[str, float]:
     """Return the values of a unit's parameters."""
     return {key: float(value) for key, value in setup.values[name].items()}
 
@@ -289,7 +252,7 @@ def _numbers(setup: Setup, name: str) -> dict[str, float]:
 def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
     """Return the bus with the FMUs of the kit; our own need no values."""
     instances = (
-        Instance(
+        BusUnit(
             each.name,
             Fmu(fmus[each.name], each.fmu.foreign),
             each.values if each.fmu.foreign else {},
@@ -299,7 +262,7 @@ def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
     return replace(bus, instances=tuple(instances))
 
 
-def _system(setup: Setup, bus: Bus) -> SystemStructure:
+def _system(setup: RunSetup, bus: Bus) -> SystemStructure:
     links = list(bus.links)
     components = []
     for each in bus.instances:
@@ -338,7 +301,7 @@ def _readme(system: SystemStructure) -> str:
     )
 
 
-def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
+def _content(setup: RunSetup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
     # command and folder name folders of this machine
@@ -349,7 +312,7 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     }
     about |= {"provenance": made}
     files = {
-        REFERENCE_SIGNALS: _signals(found.view.trace).encode(),
+        REFERENCE_SIGNALS: signals_csv(found.view.trace).encode(),
         VERDICT: to_json(about).encode(),
     }
     if _tabulated(setup):
@@ -359,176 +322,6 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     return files
 
 
-# -- replay ----------------------------------------------------------------------------------------
-def replay(
-    path: Path,
-    out: Path,
-    timeout: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Replayed:
-    """Run a package of any maker, compare it with the reference that it holds, and write `out/<its
-    name>`.
-
-    Parameters
-    ----------
-    path : Path
-        The .ssp file.
-    out : Path
-        Folder of the results.
-    timeout : float, optional
-        Seconds that the simulation may take.
-    progress : function, optional
-        Called with the steps done and their number.
-
-    Raises
-    ------
-    BristleError
-        One line, if it cannot be run.
-    """
-    package = Package(path)
-    with output_folder(out), TemporaryFolder("kit") as folder:
-        results.refuse_strange(out / path.stem)
-        bus = _replay_bus(package, Path(folder))
-        trace = simulate_isolated(
-            bus,
-            None if progress is None else lambda done: progress(done, bus.steps),
-            timeout=timeout,
-        )
-        compared = REFERENCE_SIGNALS in package.names
-        agreement = _agreement(package, trace) if compared else ()
-        failure = (
-            ""
-            if trace.failure is None
-            else (
-                f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
-            )
-        )
-        found = Replayed(out / path.stem, agreement, failure, compared)
-        results.write(out, path.stem, _replay_files(package, found, trace))
-    return found
-
-
-def _replay_bus(package: Package, folder: Path) -> Bus:
-    system = package.system
-    fmus = {
-        each.name: _unpacked(package, each, folder)
-        for each in system.components
-        if each.type != CSV_TYPE
-    }
-    if not fmus:
-        raise package.mistake("has no FMU")
-    step, stop = _times(package, fmus)
-    with package.named():
-        steps = number_of_steps(system.start, stop, step)
-    at = np.asarray(system.start + step * np.arange(steps), dtype=np.float64)
-    links, series = [], {}
-    tables = {
-        each.name: package.columns(each.source)
-        for each in system.components
-        if each.type == CSV_TYPE
-    }
-    for source, target in system.connections:
-        _check_port(package, fmus, target, "input")
-        if source[0] in tables:
-            time, columns = tables[source[0]]
-            if source[1] not in columns:
-                raise package.mistake(
-                    f"{source[0]} has no column '{source[1]}'{suggest(source[1], list(columns))}"
-                )
-            series[target] = held(time, columns[source[1]], at, step)
-        else:
-            _check_port(package, fmus, source, "output")
-            links.append((source, target))
-    instances = tuple(
-        Instance(each.name, fmus[each.name], dict(each.values))
-        for each in system.components
-        if each.name in fmus
-    )
-    record = tuple(
-        (name, each)
-        for name, fmu in fmus.items()
-        for each in fmu.names("output")
-        if fmu.is_real(each)
-    )
-    return Bus(
-        instances, steps, step, links=tuple(links), series=series, record=record, start=system.start
-    )
-
-
-def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
-    own = folder / component.name.replace("/", "_").replace("\\", "_")
-    own.mkdir()
-    fmu = Fmu(package.unpack(component.source, own), True)
-    for name in component.values:
-        if not fmu.has(name, "parameter"):
-            known = fmu.names("parameter")
-            raise package.mistake(
-                f"component '{component.name}' has no parameter '{name}'{suggest(name, known)}"
-            )
-    return fmu
-
-
-def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
-    """Return step and stop time: what the package says, else what the FMUs say."""
-    experiments = [each.description.defaultExperiment for each in fmus.values()]
-    steps = [float(each.stepSize) for each in experiments if each is not None and each.stepSize]
-    stops = [float(each.stopTime) for each in experiments if each is not None and each.stopTime]
-    stop = package.system.stop if package.system.stop is not None else max(stops, default=None)
-    if stop is None:
-        raise package.mistake(
-            "says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime"
-        )
-    usual = min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
-    step = usual if package.system.step is None else package.system.step
-    return step, stop
-
-
-def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality: str) -> None:
-    unit, name = port
-    if unit not in fmus or not fmus[unit].has(name, causality) or not fmus[unit].is_real(name):
-        known = suggest(name, fmus[unit].names(causality)) if unit in fmus else ""
-        raise package.mistake(
-            f"a connection needs the Real {causality} {unit}.{name}, which does not exist{known}"
-        )
-
-
-def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
-    """Compare the signals with the reference."""
-    signals = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return agreement(package.columns(REFERENCE_SIGNALS), trace.time, signals, REPLAY_TOLERANCE)
-
-
-def _signals(trace: Trace) -> str:
+def signals_csv(trace: BusTrace) -> str:
+    """Return all that was recorded as text, by unit and variable."""
     return signals_text(trace, [f"{unit}.{name}" for unit, name in trace.record])
-
-
-def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
-    recorded = _recorded(package)
-    tree = {
-        "package": package.path.name,
-        "verdict": found.verdict,
-        "failure": found.failure,
-        "signals": rows_of(found.agreement),
-    }
-    made = provenance()
-    content = to_json({**tree, "recorded": recorded, "provenance": made})
-    return {
-        "result.json": content,
-        "signals.csv": _signals(trace),
-        "report.html": pages.render(
-            "bristle.harness.exchange/replay.html",
-            package=package.path.name,
-            found=found,
-            made=made,
-        ),
-    }
-
-
-def _recorded(package: Package) -> Any:
-    """Return the verdict that a package holds, None if it holds none."""
-    if VERDICT not in package.names:
-        return None
-    try:
-        return json.loads(package.read(VERDICT))
-    except ValueError as error:
-        raise package.mistake(f"{VERDICT}: no JSON ({error}); export it again") from None

@@ -12,7 +12,7 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.signals import Array, table_text
-from bristle.harness.cosim.bus import Trace
+from bristle.harness.cosim.bus import BusTrace
 
 MOST_ROWS = 2001  # of a table of signals
 LONGEST_REPLAY = 10_000_000  # steps
@@ -20,7 +20,7 @@ STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
 
 
 @dataclass(frozen=True)
-class Agreement:
+class SignalAgreement:
     """How far a signal is from its reference: largest difference over its size, and when; None if
     the signal is missing.
     """
@@ -43,7 +43,7 @@ def agreement(
     signals: Mapping[str, Array],
     limit: float,
     slack: int = 0,
-) -> tuple[Agreement, ...]:
+) -> tuple[SignalAgreement, ...]:
     """Compare signals with a reference at its times.
 
     Parameters
@@ -68,7 +68,7 @@ def agreement(
     for name, expected in columns.items():
         got = signals.get(name)
         if got is None or outside:
-            found.append(Agreement(name, None, 0.0, limit, outside or "no such output"))
+            found.append(SignalAgreement(name, None, 0.0, limit, outside or "no such output"))
             continue
         size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
         low, high = _range(at, time, got, slack)
@@ -76,7 +76,7 @@ def agreement(
         worst = int(np.argmax(np.where(np.isnan(distance), np.inf, distance)))
         value = float(distance[worst])
         found.append(
-            Agreement(name, value if np.isfinite(value) else None, float(at[worst]), limit)
+            SignalAgreement(name, value if np.isfinite(value) else None, float(at[worst]), limit)
         )
     return tuple(found)
 
@@ -94,7 +94,7 @@ def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array
     return both.min(axis=0), both.max(axis=0)
 
 
-def verdict_of(failure: object, compared: bool, found: Sequence[Agreement]) -> str:
+def verdict_of(failure: object, compared: bool, found: Sequence[SignalAgreement]) -> str:
     """Return ``pass``, ``fail`` (also of a reference with nothing to compare), or ``ran`` where
     there is no reference.
     """
@@ -124,7 +124,7 @@ def held(time: Array, values: Array, at: Array, step: float) -> Array:
     return values[np.clip(rows, 0, None)]
 
 
-def signals_text(trace: Trace, names: Sequence[str]) -> str:
+def signals_text(trace: BusTrace, names: Sequence[str]) -> str:
     """Return the signals of a run as a table, thinned to equal steps."""
     stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
     columns = dict(zip(names, trace.values.T, strict=True))
@@ -133,7 +133,7 @@ def signals_text(trace: Trace, names: Sequence[str]) -> str:
     )
 
 
-def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:
+def rows_of(found: Sequence[SignalAgreement]) -> list[dict[str, Any]]:
     """Return them as result.json has them."""
     return [
         {

@@ -130,7 +130,7 @@ def _annotate(whole: ET.Element, step: float) -> None:
 
 
 # -- reading ---------------------------------------------------------------------------------------
-class Package(Archive):
+class SystemPackage(Archive):
     """A package as a file of any maker; nothing is unpacked before it is asked for.
 
     Raises

@@ -41,7 +41,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PlantMotion:
     """A simulated run of a plant: step h [s], signals of shape (n,), J [kg.m2] and b [N.m/V] where
     the plant says what they are.
     """
@@ -56,7 +56,7 @@ class Motion:
     torque_unit: str = "N.m"
 
 
-def behaviour(motion: Motion) -> dict[str, Quantity]:
+def behaviour(motion: PlantMotion) -> dict[str, Quantity]:
     """Return stick share, break-away torque, amplitude and period of a limit cycle, and the energy
     balance.
 
@@ -75,7 +75,7 @@ def stick_intervals(v: Array, h: float) -> list[tuple[int, int]]:
     return [(first, end) for first, end in pairs if (end - first) * h >= STICK_SECONDS]
 
 
-def _sticking(motion: Motion) -> dict[str, Quantity]:
+def _sticking(motion: PlantMotion) -> dict[str, Quantity]:
     v, force = motion.signals["v"], motion.signals.get("F")
     found = stick_intervals(v, motion.h)
     if not found:
@@ -100,7 +100,7 @@ def _sticking(motion: Motion) -> dict[str, Quantity]:
     }
 
 
-def _cycle(motion: Motion) -> dict[str, Quantity]:
+def _cycle(motion: PlantMotion) -> dict[str, Quantity]:
     """Return amplitude (half of peak to peak, of the velocity) and period over the second half of
     the run.
     """
@@ -131,7 +131,7 @@ def _cycle(motion: Motion) -> dict[str, Quantity]:
     }
 
 
-def _no_cycle(motion: Motion, why: str) -> dict[str, Quantity]:
+def _no_cycle(motion: PlantMotion, why: str) -> dict[str, Quantity]:
     return {
         "limit_cycle_amplitude": Quantity(motion.speed_unit, None, why),
         "limit_cycle_period": Quantity("s", None, why),
@@ -145,7 +145,7 @@ def _upward(v: Array, level: float) -> NDArray[np.intp]:
     return rows[1:][np.diff(state[rows]) > 0]
 
 
-def _energy(motion: Motion) -> dict[str, Quantity]:
+def _energy(motion: PlantMotion) -> dict[str, Quantity]:
     """Return the work of drive and friction, and what of the first neither friction, load nor
     kinetic energy account for.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
-from bristle.harness.cosim.bus import Port, Trace
+from bristle.harness.cosim.bus import BusTrace, Port
 
 SETTLING_BAND = 5.0  # percent of the true value; settling is the last time the error exceeds it
 # true values that grow in proportion to the normal load
@@ -98,7 +98,7 @@ def delayed(values: Array) -> Array:
 
 
 def true_values(
-    trace: Trace, normal: Array | float = 1.0, load: Array | float = 0.0
+    trace: BusTrace, normal: Array | float = 1.0, load: Array | float = 0.0
 ) -> dict[str, Array]:
     """Return the plant's true normalised parameters at each row, those that its law has.
 
@@ -167,7 +167,7 @@ def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) ->
     return [name for name in hats if ("observer", f"{name}_valid") in flags]
 
 
-def courses(trace: Trace, units: Mapping[str, str]) -> dict[str, Course]:
+def courses(trace: BusTrace, units: Mapping[str, str]) -> dict[str, Course]:
     """Return what the observer published of every parameter that it estimates.
 
     It estimates what it ever called valid, or published as another number than 0, or with a
@@ -195,14 +195,14 @@ def estimates(
     }
 
 
-def last_innovation(trace: Trace) -> float | None:
+def last_innovation(trace: BusTrace) -> float | None:
     """Return the observer's own measure of its innovations at the end, None where it has none."""
     course = trace.get(("observer", "innovation"))
     value = 0.0 if course is None else float(course[-1])
     return value if 0 < value < math.inf else None
 
 
-def estimates_state(trace: Trace, name: str) -> bool:
+def estimates_state(trace: BusTrace, name: str) -> bool:
     """Say whether the observer estimates a state: it has NAME_hat, and NAME_hat_valid, if it has
     that, is true at the end.
     """
@@ -215,7 +215,7 @@ def estimates_state(trace: Trace, name: str) -> bool:
 
 
 def state_errors(
-    trace: Trace, truth: Mapping[str, Array], units: Mapping[str, str]
+    trace: BusTrace, truth: Mapping[str, Array], units: Mapping[str, str]
 ) -> dict[str, dict[str, Any]]:
     """Return the rms error of the observer's states against the true ones, over the run and over
     its last tenth.

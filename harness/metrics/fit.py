@@ -69,7 +69,7 @@ class Data:
 
 
 @dataclass
-class Fit:
+class LeanFit:
     """A fitted lean model."""
 
     model: str
@@ -298,7 +298,7 @@ class _Problem:
 
 def fit(
     model: LeanModel, data: Data, candidates: Sequence[Mapping[str, float]] | None = None
-) -> Fit:
+) -> LeanFit:
     """Fit a lean model: all start values on the first part of the record, the best of them on the
     whole.
     """
@@ -318,7 +318,9 @@ def fit(
         (_solve(model, data, start, 25, 1e-4) for start in points), key=lambda found: found[0]
     )
     _, parameters, stuck = best
-    return Fit(model.law, parameters, model.score(data, parameters)[0], stuck, model.runs - before)
+    return LeanFit(
+        model.law, parameters, model.score(data, parameters)[0], stuck, model.runs - before
+    )
 
 
 Solved = tuple[float, dict[str, float], list[str]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bristle.common.signals import Array
-from bristle.harness.cosim.bus import Trace
+from bristle.harness.cosim.bus import BusTrace
 
 TRACKING_SHARE = 0.25  # share of the run, at its end, over which the tracking error is taken
 
@@ -36,7 +36,7 @@ class Tracking:
         }
 
 
-def tracking(compensated: Trace, alone: Trace) -> Tracking:
+def tracking(compensated: BusTrace, alone: BusTrace) -> Tracking:
     """Return the errors over the last part of both runs."""
     last = slice(-max(1, int(TRACKING_SHARE * compensated.steps)), None)
     references = [trace["controller", "reference"][last] for trace in (compensated, alone)]

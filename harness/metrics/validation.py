@@ -13,8 +13,8 @@ import numpy as np
 
 from bristle.common.signals import Array
 from bristle.fmus.host import Fmu, Value
-from bristle.harness.metrics.fit import LEAN_PARAMETERS, Data, Fit, LeanModel, fit
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.metrics.fit import LEAN_PARAMETERS, Data, LeanFit, LeanModel, fit
+from bristle.harness.scenario.plan import RunSetup
 
 # What each lean model (with J = 1 kg.m2) needs to know: its parameter -> the observer's estimate.
 MODEL_PARAMETERS = {
@@ -46,7 +46,7 @@ class Identified:
 
 
 @dataclass
-class Validation:
+class ModelValidation:
     """All models on the second record."""
 
     time: Array
@@ -54,7 +54,7 @@ class Validation:
     voltage: Array
     predictions: dict[str, Array]
     identified: Identified
-    fits: dict[str, Fit]
+    fits: dict[str, LeanFit]
     scores: dict[str, float]
 
     def as_dict(self, seed: int) -> dict[str, Any]:
@@ -134,7 +134,7 @@ def identified_model(
     )
 
 
-def given_parameters(setup: Setup, final: Mapping[str, Value]) -> dict[str, float]:
+def given_parameters(setup: RunSetup, final: Mapping[str, Value]) -> dict[str, float]:
     """Return the alpha2 and b that the observer's method has as parameters."""
     observer, method = setup.fmus["observer"], setup.scenario.observer.method
     out = {}
@@ -145,7 +145,7 @@ def given_parameters(setup: Setup, final: Mapping[str, Value]) -> dict[str, floa
     return out
 
 
-def identification_data(setup: Setup, u: Array, theta: Array, v: Array) -> Data:
+def identification_data(setup: RunSetup, u: Array, theta: Array, v: Array) -> Data:
     """Return the identification record as the observer read it: velocity, or position through its
     increments.
     """
@@ -170,7 +170,7 @@ def validate(
     identified: Identified,
     fmus: Mapping[str, Fmu],
     baselines: bool,
-) -> Validation:
+) -> ModelValidation:
     """Fit the baselines to the identification record and score all models on the second one.
 
     Parameters
@@ -190,7 +190,7 @@ def validate(
     for name, law in BASELINES.items():
         if baselines:
             wanted.setdefault(law, []).append(name)
-    result = Validation(
+    result = ModelValidation(
         np.asarray(np.arange(len(second.y)) * second.h),
         second.y,
         second.u,

@@ -14,9 +14,8 @@ from bristle.common.drawing import thin
 from bristle.common.signals import Array
 from bristle.common.units import quantity
 from bristle.common.work import TemporaryFolder
-from bristle.fmus.host import Fmu
-from bristle.harness.cosim.drive import Drive
 from bristle.harness.metrics.fit import Data
+from bristle.harness.metrics.friction_curve import friction_curve
 from bristle.harness.metrics.validation import (
     MODEL_PARAMETERS,
     given_parameters,
@@ -30,27 +29,22 @@ from bristle.harness.paper.schemes import (
     GAINS,
     SCHEMES,
     TEST_PLANTS,
-    Case,
     Key,
     Prediction,
     Remark,
+    SchemeCase,
 )
-from bristle.harness.run.checked import Checked, Options
+from bristle.harness.run.checked import Checked, RunOptions
 from bristle.harness.run.outcome import Outcome, outcome
 from bristle.harness.run.run import build_and_check
 from bristle.harness.scenario.catalogue import find_scenario
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 from bristle.harness.scenario.reading import load
 
 STEP1_ESTIMATES = ("alpha2", "b", "Fc")
-
-# rad/s: speed from which a plant coasts down for its friction curve
-CURVE_SPEED = math.radians(120.0)
-PUSH, PUSH_RATE = 0.2, 40.0  # s and rad/s2: how it is brought there, at most
 # factor on stiffness and 1/distance: the level stays, and friction follows it a thousand times
 # sooner
 STIFFER = 1e3
-SLOWEST = math.radians(1.0)  # rad/s: below, a curve is not drawn
 
 
 def run_scenario(
@@ -62,7 +56,7 @@ def run_scenario(
         say(f"{path.stem}: {name}")
 
     with TemporaryFolder("check") as folder:  # checked for its place, never written
-        checked = build_and_check(path, Path(folder), Options(overrides=overrides), stage)
+        checked = build_and_check(path, Path(folder), RunOptions(overrides=overrides), stage)
         return checked, outcome(checked, stage)
 
 
@@ -85,7 +79,7 @@ def _shortened(path: Path, share: float) -> list[str]:
     return [f"{name}={round(share * seconds, 3)} s" for name, seconds in lengths.items()]
 
 
-def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> Case:
+def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> SchemeCase:
     path, order = scenario_path(key.scheme, key.plant), key.order
     own = [] if order == FILTER_ORDERS[0] else [f"controller.parameters.order={order}"]
     checked, found = run_scenario(
@@ -107,7 +101,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     if prediction.velocity is not None:
         predictions["model"] = prediction.velocity[shown]
     published = {name: course.hat for name, course in view.published.items()}
-    return Case(
+    return SchemeCase(
         key,
         found.result,
         path,
@@ -176,7 +170,7 @@ def _inside(times: Array, key: str, share: float) -> NDArray[np.intp]:
     return np.flatnonzero((times >= first - 1e-9) & (times <= last + 1e-9))
 
 
-def _parameter(setup: Setup, name: str) -> float | None:
+def _parameter(setup: RunSetup, name: str) -> float | None:
     """Return a parameter of the observer's method, None if it has none of this name."""
     key, fmu = f"{setup.scenario.observer.method}.{name}", setup.fmus["observer"]
     if not fmu.has(key, "parameter"):
@@ -184,12 +178,12 @@ def _parameter(setup: Setup, name: str) -> float | None:
     return float(setup.values["observer"].get(key, fmu.start(key)))
 
 
-def _all_parameters(setup: Setup, names: Sequence[str]) -> list[float] | None:
+def _all_parameters(setup: RunSetup, names: Sequence[str]) -> list[float] | None:
     found = [value for name in names if (value := _parameter(setup, name)) is not None]
     return found if len(found) == len(names) else None
 
 
-def curves_of(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
+def curves_of(cases: Mapping[Key, SchemeCase]) -> dict[str, tuple[Array, Array]]:
     """Return the friction curves of Fig. 1: the original law's, and what each scheme found."""
     first = FILTER_ORDERS[0]
     lugre = cases[Key(BASELINE_SCHEME, "L0", first)].values
@@ -221,36 +215,3 @@ def stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
     return {
         name: value if name == "modified.width" else STIFFER * value for name, value in own.items()
     }
-
-
-def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return velocity and level of friction of a plant that coasts down, the fastest first.
-
-    Parameters
-    ----------
-    law : str
-        Law of a lean plant FMU, which has J = 1 kg.m2 and b = 1 N.m/V.
-    parameters : mapping of str to float
-        Those of the law.
-
-    Returns
-    -------
-    velocity, level : ndarray, shape (n,)
-        rad/s and rad/s2; both are empty if the plant does not get to speed.
-    """
-    from bristle.fmus import obtain
-
-    h = 1e-3
-    values = {"J": 1.0, "b": 1.0, "a2": 0.0, "u_max": 1e6, **parameters}
-    push = np.full(round(PUSH / h), PUSH_RATE)
-    drive = Drive(Fmu(obtain("plant", law=law, encoder=False)), ["u"], ["v", "F"], list(values))
-    try:
-        [pushed] = drive.run(push[:, None], np.array([[*values.values()]]), h)
-        count = int(np.argmax(pushed[:, 0] > CURVE_SPEED))
-        series = np.concatenate([push[:count], np.zeros(round(2.0 / h))])
-        [found] = drive.run(series[:, None], np.array([[*values.values()]]), h)
-    finally:
-        drive.close()
-    v, level = found[count + 2 :].T
-    end = int(np.argmax(~(v > SLOWEST))) if np.any(~(v > SLOWEST)) else len(v)
-    return v[:end], level[:end]

@@ -27,9 +27,9 @@ from bristle.harness.paper.schemes import (
     GAINS,
     SCHEMES,
     TEST_PLANTS,
-    Case,
-    Comparison,
     Key,
+    PaperComparison,
+    SchemeCase,
 )
 from bristle.harness.scenario.catalogue import find_scenario
 
@@ -87,7 +87,7 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
     return dict(content)
 
 
-def compute(say: Tell, share: float = 1.0) -> Comparison:
+def compute(say: Tell, share: float = 1.0) -> PaperComparison:
     """Run all scenarios and return what the page shows."""
     # it comes first: all are scored on its second record
     schemes = sorted(SCHEMES, key=lambda scheme: scheme != BASELINE_SCHEME)
@@ -97,7 +97,7 @@ def compute(say: Tell, share: float = 1.0) -> Comparison:
         for order in FILTER_ORDERS
         for scheme in schemes
     ]
-    cases: dict[Key, Case] = {}
+    cases: dict[Key, SchemeCase] = {}
     for k, key in enumerate(wanted):
 
         def tell(text: str, share_done: float = k / (len(wanted) + 1)) -> None:
@@ -108,13 +108,13 @@ def compute(say: Tell, share: float = 1.0) -> Comparison:
     say("gate", len(wanted) / (len(wanted) + 1))
     _, found = run_scenario(find_scenario(Path(HEURISTIC)), ())
     heuristic = found.result["estimates"]["vc"]["final"]
-    return Comparison(cases, curves_of(cases), _content(cases, heuristic, share), share)
+    return PaperComparison(cases, curves_of(cases), _content(cases, heuristic, share), share)
 
 
 # -- numbers ---------------------------------------------------------------------------------------
 
 
-def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[str, Any]:
+def _content(cases: Mapping[Key, SchemeCase], heuristic: float, share: float) -> dict[str, Any]:
     """Return reproduce.json."""
     first = FILTER_ORDERS[0]
     shown = [(plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS]
@@ -145,7 +145,7 @@ def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[
     }
 
 
-def _of_each(cases: Mapping[str, Case], what: Callable[[Case], Any]) -> dict[str, Any]:
+def _of_each(cases: Mapping[str, SchemeCase], what: Callable[[SchemeCase], Any]) -> dict[str, Any]:
     """Return something of the case of each scheme."""
     return {scheme: what(case) for scheme, case in cases.items()}
 
@@ -163,7 +163,7 @@ def _printed_entry(key: str) -> dict[str, Any]:
     }
 
 
-def _estimates(case: Case) -> dict[str, Any]:
+def _estimates(case: SchemeCase) -> dict[str, Any]:
     kept = ("unit", "true", "final", "valid", "error_percent", "settling_s")
     return {
         name: {key: e[key] for key in kept} | {"last": case.last.get(name)}
@@ -171,13 +171,13 @@ def _estimates(case: Case) -> dict[str, Any]:
     }
 
 
-def _gain(key: str, case: Case) -> list[float] | None:
+def _gain(key: str, case: SchemeCase) -> list[float] | None:
     """Return gains in the printed unit."""
     found = case.gains[key]
     return [math.degrees(value) for value in found] if found and key == "vc" else found
 
 
-def _run_entry(case: Case) -> dict[str, Any]:
+def _run_entry(case: SchemeCase) -> dict[str, Any]:
     return {
         **case.key._asdict(),
         "scenario": f"reproduce/{case.source.stem}",
@@ -189,7 +189,7 @@ def _run_entry(case: Case) -> dict[str, Any]:
     }
 
 
-def _eq25(cases: Mapping[Key, Case], plant: str, order: int) -> dict[str, Any]:
+def _eq25(cases: Mapping[Key, SchemeCase], plant: str, order: int) -> dict[str, Any]:
     """Return eq. (25) of all models on the validation record of a plant and an order, and why one
     has none.
     """
@@ -208,7 +208,7 @@ def _eq25(cases: Mapping[Key, Case], plant: str, order: int) -> dict[str, Any]:
     }
 
 
-def _remark3(cases: Mapping[Key, Case]) -> dict[str, Any]:
+def _remark3(cases: Mapping[Key, SchemeCase]) -> dict[str, Any]:
     """Return the interval of c of remark 3 for L0, 1/(a0 + a1) < c < 1/a0, and the c of the fits
     and the schemes.
 

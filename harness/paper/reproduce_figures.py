@@ -34,9 +34,9 @@ from bristle.harness.paper.schemes import (
     FILTER_ORDERS,
     LETTERS,
     SCHEMES,
-    Case,
-    Comparison,
     Key,
+    PaperComparison,
+    SchemeCase,
 )
 from bristle.harness.run.figure_text import MODEL_LABELS
 from bristle.harness.run.figures import MODEL_COLOURS, PLAIN_SYMBOLS
@@ -50,7 +50,7 @@ DASHED: Any = (0, (4, 3))
 SHOWN_SPEED = 100.0  # deg/s: right end of Fig. 1
 
 
-def draw(found: Comparison) -> dict[str, Drawing]:
+def draw(found: PaperComparison) -> dict[str, Drawing]:
     """Return the figures by name, each an <svg> element."""
     from matplotlib import rc_context
 
@@ -68,14 +68,16 @@ def draw(found: Comparison) -> dict[str, Drawing]:
     return made
 
 
-def _case(found: Comparison, scheme: str, plant: str = "S", order: int = FILTER_ORDERS[0]) -> Case:
+def _case(
+    found: PaperComparison, scheme: str, plant: str = "S", order: int = FILTER_ORDERS[0]
+) -> SchemeCase:
     return found.cases[Key(scheme, plant, order)]
 
 
 # -- eq. (25) --------------------------------------------------------------------------------------
 
 
-def _eq25(found: Comparison) -> Any:
+def _eq25(found: PaperComparison) -> Any:
     """Draw eq. (25) of all models, a row for each record, with the interval that the paper
     prints.
     """
@@ -123,7 +125,7 @@ def _eq25(found: Comparison) -> Any:
 # -- Figure 1 --------------------------------------------------------------------------------------
 
 
-def _stribeck(found: Comparison) -> Any:
+def _stribeck(found: PaperComparison) -> Any:
     figure = new_figure(11.0, 3.9)
     ax = figure.subplots()
     plant = _case(found, BASELINE_SCHEME, "L0").values
@@ -153,7 +155,7 @@ def _stribeck(found: Comparison) -> Any:
 # -- Figure 3 --------------------------------------------------------------------------------------
 
 
-def _reference(found: Comparison) -> Any:
+def _reference(found: PaperComparison) -> Any:
     figure = new_figure(11.0, 3.2)
     axes = figure.subplots(1, len(FILTER_ORDERS), sharey=True)
     figure.subplots_adjust(wspace=0.08)
@@ -173,15 +175,15 @@ def _reference(found: Comparison) -> Any:
 # -- Figures 4 and 5 -------------------------------------------------------------------------------
 
 
-def _step1(found: Comparison) -> Any:
+def _step1(found: PaperComparison) -> Any:
     return _estimates(found, STEP1, "step1", "α₂ in s⁻¹, b in rad/(s²·V)")
 
 
-def _step2(found: Comparison) -> Any:
+def _step2(found: PaperComparison) -> Any:
     return _estimates(found, STEP2, "step2", "σ in s⁻², c in rad⁻¹")
 
 
-def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str) -> Any:
+def _estimates(found: PaperComparison, colours: dict[str, str], step: str, unit: str) -> Any:
     """Draw estimates over time, a column for each scheme, on the axes of the paper; dashed are the
     levels that it prints.
     """
@@ -231,7 +233,7 @@ def _marks(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
 # -- Figure 6 --------------------------------------------------------------------------------------
 
 
-def _validation(found: Comparison) -> Any:
+def _validation(found: PaperComparison) -> Any:
     """Draw measured and predicted velocity, a panel for each scheme and one for the linear model,
     and the errors below.
     """
@@ -279,7 +281,7 @@ def _validation(found: Comparison) -> Any:
     return figure
 
 
-def _overlay(top: Any, low: Any, case: Case, model: str, colour: str) -> None:
+def _overlay(top: Any, low: Any, case: SchemeCase, model: str, colour: str) -> None:
     time, measured = case.validation_time, case.measured * DEGREES
     time_curve(top, time, measured, MEASURED, "measured", linewidth=2.4)
     if model not in case.predictions:

@@ -61,7 +61,7 @@ class Key(NamedTuple):
 
 
 @dataclass
-class Case:
+class SchemeCase:
     """A scheme on a record: what of it the page shows. Arrays have shape (n,), in SI units."""
 
     key: Key
@@ -84,10 +84,10 @@ class Case:
 
 
 @dataclass
-class Comparison:
+class PaperComparison:
     """Everything on the page."""
 
-    cases: dict[Key, Case]
+    cases: dict[Key, SchemeCase]
     # velocity and level of friction over inertia of L0: the plant's and the schemes'
     curves: dict[str, tuple[Array, Array]]
     content: dict[str, Any]  # reproduce.json

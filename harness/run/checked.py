@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bristle.common.errors import suggest
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace
 from bristle.harness.cosim.isolate import run_bus
 from bristle.harness.metrics.checks import STATES, check_quantities
 from bristle.harness.metrics.validation import (
@@ -18,17 +18,17 @@ from bristle.harness.metrics.validation import (
     lean_fmus,
 )
 from bristle.harness.scenario.parts import Kind
-from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.scenario.plan import RunSetup, identification, prepare
 from bristle.harness.scenario.plan import validation as validation_bus
 from bristle.harness.scenario.reading import Loaded
 
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
-Simulate = Callable[[Bus, Callable[[int], None] | None, float | None], Trace]  # as `run_bus`
+Simulate = Callable[[Bus, Callable[[int], None] | None, float | None], BusTrace]  # as `run_bus`
 ESTIMATED = ("estimates", "states")  # parts that depend on what the observer estimates
 
 
 @dataclass(frozen=True)
-class Options:
+class RunOptions:
     """How to run a scenario."""
 
     fmi: int = 2
@@ -60,9 +60,9 @@ class Checked:
     is run into.
     """
 
-    setup: Setup
+    setup: RunSetup
     out: Path
-    options: Options
+    options: RunOptions
     bus: Bus
     lean: Mapping[str, Fmu]
     clock: Clock
@@ -70,7 +70,7 @@ class Checked:
 
 
 def check_loaded(
-    loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: Options, clock: Clock | None = None
+    loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: RunOptions, clock: Clock | None = None
 ) -> Checked:
     """Check a scenario against its FMUs; errors as of `check`."""
     setup = replace(prepare(loaded, fmus), timeout=options.timeout)
@@ -82,7 +82,7 @@ def check_loaded(
     return Checked(setup, out, options, identification(setup), lean, clock or Clock())
 
 
-def _check_quantities(setup: Setup) -> None:
+def _check_quantities(setup: RunSetup) -> None:
     """Refuse a check of a number that no result has, or not that of this scenario."""
     observer, scenario = setup.fmus["observer"], setup.scenario
     hats = [name.removesuffix("_hat") for name in observer.names("output") if name.endswith("_hat")]
@@ -109,7 +109,7 @@ def _check_quantities(setup: Setup) -> None:
             )
 
 
-def check_estimated(setup: Setup) -> None:
+def check_estimated(setup: RunSetup) -> None:
     """Refuse a check of what the method does not estimate; an FMU from elsewhere shows that only
     when it runs.
     """

@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 
 from bristle.common.provenance import provenance
-from bristle.harness.cosim.bus import Bus, Trace
-from bristle.harness.metrics.behaviour import Motion, Quantity, behaviour
+from bristle.harness.cosim.bus import Bus, BusTrace
+from bristle.harness.metrics.behaviour import PlantMotion, Quantity, behaviour
 from bristle.harness.metrics.checks import judge, validity_checks, why_not
 from bristle.harness.metrics.estimates import estimates, last_innovation, state_errors
 from bristle.harness.metrics.fit import Data
 from bristle.harness.metrics.tracking import Tracking, tracking
 from bristle.harness.metrics.validation import (
-    Validation,
+    ModelValidation,
     given_parameters,
     identification_data,
     identified_model,
     validate,
 )
-from bristle.harness.run.checked import Checked, Options, Progress, no_progress
-from bristle.harness.run.view import View
-from bristle.harness.scenario.plan import Setup, uncompensated
+from bristle.harness.run.checked import Checked, Progress, RunOptions, no_progress
+from bristle.harness.run.view import RunView
+from bristle.harness.scenario.plan import RunSetup, uncompensated
 from bristle.harness.scenario.plan import validation as validation_bus
 
 SECOND_RUNS = ("validation", "tracking")  # parts of result.json that take one
@@ -41,8 +41,8 @@ class Outcome:
     """
 
     result: dict[str, Any]
-    view: View
-    validated: Validation | None
+    view: RunView
+    validated: ModelValidation | None
     findings: tuple[str, ...] = ()  # as of `Run`
     tracking: Tracking | None = None
 
@@ -55,7 +55,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout
         )
     with clock.stage("metrics"):
-        view = View(setup, trace)
+        view = RunView(setup, trace)
         result = measured(setup, trace, view) | {
             "units": view.column_units(setup),
             "provenance": _provenance(checked),
@@ -80,7 +80,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     return Outcome(result, view, validated, findings, followed)
 
 
-def measured(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
+def measured(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
     """Return result.json of a run without what needs a second run, verdict, provenance and
     timing.
     """
@@ -89,7 +89,7 @@ def measured(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
     }
 
 
-def _behaviour(setup: Setup, view: View) -> Mapping[str, Quantity]:
+def _behaviour(setup: RunSetup, view: RunView) -> Mapping[str, Quantity]:
     """Return what the plant did; nothing of a record, which is an input of the run."""
     if setup.samples is not None:
         return {}
@@ -105,22 +105,22 @@ def _behaviour(setup: Setup, view: View) -> Mapping[str, Quantity]:
         if plant.has(port, "output")
     }
     return behaviour(
-        Motion(
+        PlantMotion(
             setup.h, view.signals, known["J"], known["b"], limit, setup.scenario.open_loop, **units
         )
     )
 
 
-def verdict(setup: Setup, trace: Trace) -> str:
+def verdict(setup: RunSetup, trace: BusTrace) -> str:
     """Judge a run by the checks that need no second run; pass or fail."""
-    result = measured(setup, trace, View(setup, trace))
+    result = measured(setup, trace, RunView(setup, trace))
     checks = [
         each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS
     ]
     return _verdict(result | {"checks": judge(result, checks)})
 
 
-def _trusted(setup: Setup) -> list[str]:
+def _trusted(setup: RunSetup) -> list[str]:
     files = " and ".join(setup.fmus[name].path.name for name in setup.foreign)
     return (
         [f"{files}: code from elsewhere, which ran with your rights: use only FMUs that you trust"]
@@ -129,7 +129,7 @@ def _trusted(setup: Setup) -> list[str]:
     )
 
 
-def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
+def _measure(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
     """Return result.json without validation, verdict and timing."""
     fmus = {
         name: {
@@ -181,7 +181,7 @@ def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
     return result
 
 
-def _validate(checked: Checked, result: Mapping[str, Any], view: View) -> Validation:
+def _validate(checked: Checked, result: Mapping[str, Any], view: RunView) -> ModelValidation:
     setup, fmus = checked.setup, checked.lean
     second = _second_run(checked, validation_bus(setup), "validation")
     identified = identified_model(
@@ -194,7 +194,7 @@ def _validate(checked: Checked, result: Mapping[str, Any], view: View) -> Valida
     return validate(data, other, identified, fmus, demand.baselines)
 
 
-def _second_run(checked: Checked, bus: Bus, key: str) -> Trace:
+def _second_run(checked: Checked, bus: Bus, key: str) -> BusTrace:
     """Run a bus that must run to its end; `key` is what asks for it in the scenario file."""
     setup = checked.setup
     second = checked.simulate(bus, None, setup.timeout)
@@ -223,7 +223,7 @@ def _provenance(checked: Checked) -> dict[str, Any]:
     }
 
 
-def command_of(path: Path, options: Options, out: Path | None = None) -> str:
+def command_of(path: Path, options: RunOptions, out: Path | None = None) -> str:
     """Return the command that runs a scenario with these options."""
     words = ["bristle", "run", str(path), *([] if out is None else ["--out", str(out)])]
     words += ["--kind", options.kind, "--fmi", str(options.fmi)]
@@ -236,7 +236,7 @@ def command_of(path: Path, options: Options, out: Path | None = None) -> str:
     return shlex.join(words)
 
 
-def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
+def _judge(result: dict[str, Any], setup: RunSetup) -> list[str]:
     """Set checks and verdict; of a record without checks, return and note why the verdict is
     fail.
     """
@@ -262,7 +262,7 @@ def _verdict(result: Mapping[str, Any]) -> str:
     )
 
 
-def _innovation_limit(setup: Setup) -> float | None:
+def _innovation_limit(setup: RunSetup) -> float | None:
     """Return up to which innovation the estimates count, None if the method has no such limit: its
     deviations then grow with it.
     """

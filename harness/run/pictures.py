@@ -13,7 +13,7 @@ from bristle.harness.cosim.bus import Array
 from bristle.harness.metrics.estimates import Course
 from bristle.harness.metrics.tracking import Tracking
 from bristle.harness.metrics.validation import (
-    Validation,
+    ModelValidation,
 )
 from bristle.harness.run.outcome import Outcome
 from bristle.harness.scenario.rig import Rig
@@ -40,7 +40,7 @@ class Pictures:
     signals: Mapping[str, Array] = field(default_factory=dict)
     friction: tuple[Array, Array] | None = None  # v, F/J of the plant
     friction_hat: tuple[Array, Array] | None = None
-    validation: Validation | None = None
+    validation: ModelValidation | None = None
     tracking: Tracking | None = None
 
     @property

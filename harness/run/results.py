@@ -18,7 +18,7 @@ from bristle.common.signals import table_text
 from bristle.harness.run.checked import Clock
 from bristle.harness.run.outcome import Outcome
 from bristle.harness.run.pictures import pictures_of
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 RESULT_SUFFIXES = {".json", ".csv", ".html", ".svg"}  # of the files in a result folder
 THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
@@ -102,7 +102,7 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     return target
 
 
-def files_of(found: Outcome, setup: Setup, clock: Clock, full: bool) -> dict[str, str | bytes]:
+def files_of(found: Outcome, setup: RunSetup, clock: Clock, full: bool) -> dict[str, str | bytes]:
     from bristle.harness.run.figures import draw
     from bristle.harness.run.run_page import render
 

@@ -13,8 +13,8 @@ from bristle.common.output import output_folder
 from bristle.harness.run.checked import (
     Checked,
     Clock,
-    Options,
     Progress,
+    RunOptions,
     check_estimated,
     check_loaded,
     no_progress,
@@ -26,7 +26,7 @@ from bristle.harness.scenario.reading import load
 
 
 @dataclass
-class Run:
+class FinishedRun:
     """A finished scenario."""
 
     result: dict[str, Any]
@@ -41,8 +41,8 @@ class Run:
 
 
 def run(
-    path: Path, out: Path, options: Options | None = None, progress: Progress | None = None
-) -> Run:
+    path: Path, out: Path, options: RunOptions | None = None, progress: Progress | None = None
+) -> FinishedRun:
     """Run a scenario and write its result folder `out/<scenario>`.
 
     Raises
@@ -51,13 +51,14 @@ def run(
         One line; nothing is written then, and what was there stays.
     """
     with output_folder(out):
-        return execute(build_and_check(path, out, options, progress), progress)
+        checked = build_and_check(path, out, options, progress)
+        return execute(checked, progress)
 
 
 def build_and_check(
     path: Path,
     out: Path,
-    options: Options | None = None,
+    options: RunOptions | None = None,
     progress: Progress | None = None,
     refuse: Callable[[Path], None] = refuse_strange,
 ) -> Checked:
@@ -71,7 +72,7 @@ def build_and_check(
     BristleError
         One line; nothing is written then, and what was there stays.
     """
-    options, clock = options or Options(), Clock()
+    options, clock = options or RunOptions(), Clock()
     loaded = load(path, options.overrides, options.seed)
     with output_folder(out):
         refuse(out / loaded.name)
@@ -83,7 +84,7 @@ def build_and_check(
             return checked
 
 
-def execute(checked: Checked, progress: Progress | None = None) -> Run:
+def execute(checked: Checked, progress: Progress | None = None) -> FinishedRun:
     """Run a scenario that is checked, and write its result folder."""
     Thread(target=_load_drawing, daemon=True).start()
     found = outcome(checked, progress)
@@ -91,7 +92,7 @@ def execute(checked: Checked, progress: Progress | None = None) -> Run:
         (progress or no_progress)("report", 0, 0)
         files = files_of(found, checked.setup, checked.clock, checked.options.full)
     folder = write(checked.out, checked.setup.loaded.name, files)
-    return Run(found.result, folder, found.findings)
+    return FinishedRun(found.result, folder, found.findings)
 
 
 def _load_drawing() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.harness.cosim.bus import Array, Trace
+from bristle.harness.cosim.bus import Array, BusTrace
 from bristle.harness.metrics.estimates import (
     courses,
     element_distances,
@@ -10,13 +10,13 @@ from bristle.harness.metrics.estimates import (
     of_same_elements,
     true_values,
 )
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 
-class View:
+class RunView:
     """The signals of a run, whether simulated or recorded, and the truth where it is known."""
 
-    def __init__(self, setup: Setup, trace: Trace) -> None:
+    def __init__(self, setup: RunSetup, trace: BusTrace) -> None:
         observer, rig = setup.fmus["observer"], setup.rig
         units = {name: observer.unit(name) for unit, name in trace.record if unit == "observer"}
         if setup.samples is not None:
@@ -38,7 +38,7 @@ class View:
         self.published = courses(trace, self.units)
         self.friction = self._friction(setup)
 
-    def _signals(self, setup: Setup) -> tuple[dict[str, Array], dict[str, Array]]:
+    def _signals(self, setup: RunSetup) -> tuple[dict[str, Array], dict[str, Array]]:
         """Return all signals but those of the observer, and position and velocity as it gets them;
         of a record, its columns.
         """
@@ -61,7 +61,7 @@ class View:
             **{f"{name}_valid": course.valid for name, course in self.published.items()},
         }
 
-    def column_units(self, setup: Setup) -> dict[str, str]:
+    def column_units(self, setup: RunSetup) -> dict[str, str]:
         """Return the unit of each of these signals."""
         if setup.samples is not None:
             own = {
@@ -83,7 +83,7 @@ class View:
         }
         return {**own, **observer, **{f"{name}_valid": "1" for name in self.published}}
 
-    def _true(self, setup: Setup) -> dict[str, Array]:
+    def _true(self, setup: RunSetup) -> dict[str, Array]:
         """Return the true parameters under the loads that act on the plant, and of the observer's
         elements.
         """
@@ -97,13 +97,13 @@ class View:
         return of_same_elements(found, *distances)
 
     @staticmethod
-    def _inertia(setup: Setup) -> float | None:
+    def _inertia(setup: RunSetup) -> float | None:
         """Return J of the plant, where it says what it is."""
         if setup.samples is not None or not setup.fmus["plant"].has("J", "parameter"):
             return None
         return float(setup.values["plant"].get("J", setup.fmus["plant"].start("J")))
 
-    def _friction(self, setup: Setup) -> Array | None:
+    def _friction(self, setup: RunSetup) -> Array | None:
         """Return F/J of the plant, where the plant has both."""
         inertia = self._inertia(setup)
         return self.signals["F"] / inertia if inertia is not None and "F" in self.signals else None

@@ -10,7 +10,7 @@ from bristle.fmus.alias import Mapped, alias
 from bristle.fmus.host import Alias, Fmu
 from bristle.harness.cosim.ports import PORTS
 from bristle.harness.scenario.reading import Loaded
-from bristle.harness.scenario.scenario import Part
+from bristle.harness.scenario.scenario import PartTable
 
 Kind = Literal["native", "python"]
 
@@ -18,7 +18,7 @@ Kind = Literal["native", "python"]
 def build_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
     """Return the FMUs a scenario needs, building those of bristle that are not in the cache."""
     scenario = loaded.scenario
-    parts: dict[str, Part | None] = {"observer": scenario.observer}
+    parts: dict[str, PartTable | None] = {"observer": scenario.observer}
     if scenario.plant is not None:
         parts = {
             "controller": None if scenario.open_loop else scenario.controller,
@@ -42,7 +42,7 @@ def build_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str,
     return found
 
 
-def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
+def _own(loaded: Loaded, name: str, part: PartTable, fmi: int, kind: Kind) -> Fmu:
     """Return an FMU of bristle, of the chosen law or method alone: no other is compiled."""
     from bristle.fmus.build import obtain
 
@@ -110,11 +110,9 @@ def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
     where, ports = f"{name}.variables.{key}", PORTS[name]
     estimated = name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
     if key not in ports.units and not estimated:
-        raise loaded.error(
-            where,
-            given,
-            f"no variable of the bus{suggest(key, list(ports.units))}; known: {', '.join(ports.units)}",
-        )
+        known = list(ports.units)
+        message = f"no variable of the bus{suggest(key, known)}; known: {', '.join(known)}"
+        raise loaded.error(where, given, message)
     try:
         return alias(given, ports.allowed_units(key))
     except BristleError as error:

@@ -9,17 +9,17 @@ from functools import lru_cache
 from bristle.common.errors import BristleError
 from bristle.common.units import quantity
 from bristle.fmus.host import Fmu, Value
-from bristle.harness.cosim.bus import Bus, Instance, Port
+from bristle.harness.cosim.bus import Bus, BusUnit, Port
 from bristle.harness.cosim.ports import OBSERVER, PORTS, SENSOR_OUTPUTS
 from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig
 from bristle.harness.scenario.samples import Samples, read_samples
-from bristle.harness.scenario.scenario import Part, Scenario
+from bristle.harness.scenario.scenario import PartTable, Scenario
 from bristle.harness.scenario.stimuli import Signal, check_range, events, read_stimuli, series
 
 
 @dataclass(frozen=True)
-class Setup:
+class RunSetup:
     """A scenario with the FMUs it runs on, every value checked against them."""
 
     loaded: Loaded
@@ -66,7 +66,7 @@ class Setup:
         )
 
 
-def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
+def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> RunSetup:
     """Check a scenario against its FMUs and, where there is one, its record.
 
     Raises
@@ -80,7 +80,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         h = samples.h
         if fmus["observer"].foreign:  # made for who knows which speed: it reads the record as it is
             samples = replace(samples, rig=replace(samples.rig, angle=1.0, voltage=1.0))
-    parts: dict[str, Part | None] = {
+    parts: dict[str, PartTable | None] = {
         "plant": scenario.plant,
         "controller": scenario.controller,
         "observer": scenario.observer,
@@ -92,7 +92,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         if part is not None and name in fmus
     }
     if samples is not None:
-        setup = Setup(loaded, fmus, values, samples, h)
+        setup = RunSetup(loaded, fmus, values, samples, h)
         _tell_resolution(setup, samples.resolution)
         return setup
     free = {
@@ -103,7 +103,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         if fmus[unit].has(name, "input")
     }
     stimuli = read_stimuli(loaded, free, h)
-    setup = Setup(loaded, fmus, values, samples, h, stimuli)
+    setup = RunSetup(loaded, fmus, values, samples, h, stimuli)
     _check_sensors(setup)
     _tell_resolution(setup, _encoder_step(setup))
     validated = round(scenario.validation.duration / h) if scenario.validation else 0
@@ -122,7 +122,7 @@ def _own_parameters(fmu: Fmu, selector: str) -> list[str]:
     return [name for name in fmu.names("parameter") if name not in (selector, f"{selector}_index")]
 
 
-def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
+def _values(loaded: Loaded, name: str, part: PartTable, fmu: Fmu, rig: Rig) -> dict[str, Value]:
     """Return the start values of a part: the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
     selector = PORTS[name].selector
@@ -165,7 +165,7 @@ def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
     return bool(found)
 
 
-def _check_sensors(setup: Setup) -> None:
+def _check_sensors(setup: RunSetup) -> None:
     plant, scenario = setup.fmus["plant"], setup.scenario
     for key in ("sensor", "controller_sensor"):
         choice = getattr(scenario, key)
@@ -182,7 +182,7 @@ def _check_sensors(setup: Setup) -> None:
         )
 
 
-def _check_compensation(setup: Setup) -> None:
+def _check_compensation(setup: RunSetup) -> None:
     """Refuse a compensation for which an FMU has no variables."""
     wanted = setup.scenario.controller.compensation
     if wanted == "none":
@@ -210,7 +210,7 @@ def _check_compensation(setup: Setup) -> None:
         )
 
 
-def _compensation_links(setup: Setup) -> list[tuple[Port, Port]]:
+def _compensation_links(setup: RunSetup) -> list[tuple[Port, Port]]:
     """Return the links that lead estimates to the inputs of the controller with the same names, and
     to P_valid what counts.
     """
@@ -226,7 +226,7 @@ def _compensation_links(setup: Setup) -> list[tuple[Port, Port]]:
     return links
 
 
-def _encoder_step(setup: Setup) -> float | None:
+def _encoder_step(setup: RunSetup) -> float | None:
     """Return the step of the plant's encoder [rad], where the observer reads the encoder."""
     plant, counts = setup.fmus["plant"], "encoder.counts"
     if setup.scenario.sensor != "encoder" or not plant.has(counts, "parameter"):
@@ -234,7 +234,7 @@ def _encoder_step(setup: Setup) -> float | None:
     return 2 * math.pi / float(setup.values["plant"].get(counts, plant.start(counts)))
 
 
-def _tell_resolution(setup: Setup, step: float | None) -> None:
+def _tell_resolution(setup: RunSetup, step: float | None) -> None:
     """Give the observer the step of the position sensor, where it asks for one and the user has not
     said otherwise.
 
@@ -255,11 +255,11 @@ def _tell_resolution(setup: Setup, step: float | None) -> None:
             setup.values["observer"].setdefault(name, told)
 
 
-def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:
-    return tuple(Instance(name, setup.fmus[name], setup.values[name]) for name in names)
+def _instances(setup: RunSetup, names: tuple[str, ...]) -> tuple[BusUnit, ...]:
+    return tuple(BusUnit(name, setup.fmus[name], setup.values[name]) for name in names)
 
 
-def _loop_links(setup: Setup) -> list[tuple[Port, Port]]:
+def _loop_links(setup: RunSetup) -> list[tuple[Port, Port]]:
     speed = SENSOR_OUTPUTS[setup.scenario.controller_sensor][1]
     return [(("plant", speed), ("controller", "y_v")), (("controller", "u"), ("plant", "u"))]
 
@@ -269,7 +269,7 @@ def _plant_flags(plant: Fmu) -> tuple[Port, ...]:
     return tuple(("plant", name) for name in plant.variables if name.startswith("true."))
 
 
-def identification(setup: Setup) -> Bus:
+def identification(setup: RunSetup) -> Bus:
     """Return the bus on which the observer runs: with plant and controller, or on a record."""
     observer = setup.fmus["observer"]
     said = [
@@ -279,7 +279,7 @@ def identification(setup: Setup) -> Bus:
     return _on_record(setup, flags) if setup.samples is not None else _on_plant(setup, flags)
 
 
-def _on_record(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+def _on_record(setup: RunSetup, flags: tuple[Port, ...]) -> Bus:
     """Return the bus of an observer that reads a record, in the units in which it does."""
     samples, observer = setup.samples, setup.fmus["observer"]
     assert samples is not None
@@ -300,7 +300,7 @@ def _on_record(setup: Setup, flags: tuple[Port, ...]) -> Bus:
     )
 
 
-def _on_plant(setup: Setup, flags: tuple[Port, ...]) -> Bus:
+def _on_plant(setup: RunSetup, flags: tuple[Port, ...]) -> Bus:
     """Return the bus of an observer that runs beside a plant, which a controller or a stimulus
     drives.
     """
@@ -326,7 +326,7 @@ def _on_plant(setup: Setup, flags: tuple[Port, ...]) -> Bus:
     )
 
 
-def uncompensated(setup: Setup) -> Bus:
+def uncompensated(setup: RunSetup) -> Bus:
     """Return the bus of the same run with the controller alone: nothing of the observer reaches
     it.
     """
@@ -341,7 +341,7 @@ def uncompensated(setup: Setup) -> Bus:
     )
 
 
-def validation(setup: Setup) -> Bus:
+def validation(setup: RunSetup) -> Bus:
     """Return the bus of the second record: the same plant and controller, another seed, from rest,
     the last loads held.
     """
@@ -363,7 +363,7 @@ def validation(setup: Setup) -> Bus:
         )
     loads = [stimulus.settled() for stimulus in setup.stimuli if stimulus.unit == "plant"]
     steps = round(demand.duration / setup.h)
-    controller = Instance(
+    controller = BusUnit(
         "controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed}
     )
     return Bus(

@@ -54,7 +54,7 @@ Given = str | int | float | bool
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Part(Section):
+class PartTable(Section):
     """An FMU on the bus: built by bristle, or a file."""
 
     fmu: str | None = None
@@ -69,7 +69,7 @@ class Part(Section):
     """
 
 
-class Plant(Part):
+class Plant(PartTable):
     """The servo: a friction law of bristle, or an FMU with inputs u (tau_load, load_scale) and
     outputs theta, v.
     """
@@ -82,7 +82,7 @@ class Plant(Part):
     """
 
 
-class Controller(Part):
+class Controller(PartTable):
     """The reference generator and PI controller: input y_v, outputs u, reference."""
 
     compensation: Literal["none", "valid", "adapted"] = "none"
@@ -90,7 +90,7 @@ class Controller(Part):
     valid, or all, on trial, once adapted. The same run without them is compared."""
 
 
-class Observer(Part):
+class Observer(PartTable):
     """The adaptive observer: a method of bristle, or an FMU with inputs u, y_theta, y_v and outputs
     P_hat, P_valid.
     """
@@ -110,7 +110,7 @@ class Sine(Section):
     """Its phase at the start of the run."""
 
 
-class Noise(Section):
+class NoiseTable(Section):
     """Coloured noise over the whole run: white noise behind a low-pass of first order, held
     constant over each step.
     """
@@ -136,7 +136,7 @@ class Stimulus(Section):
     """
     sine: Sine | None = None
     """A sine that is added."""
-    noise: Noise | None = None
+    noise: NoiseTable | None = None
     """Coloured noise that is added."""
 
     @model_validator(mode="after")
@@ -146,7 +146,7 @@ class Stimulus(Section):
         return self
 
 
-class Record(LayoutTable):
+class RecordTable(LayoutTable):
     """A measured file in place of plant and controller."""
 
     file: str
@@ -157,7 +157,7 @@ class Record(LayoutTable):
     """
 
 
-class Validation(Section):
+class ValidationTable(Section):
     """A second run of the same plant and controller, on which open-loop models are compared."""
 
     seed: int = Field(default=2, ge=1)
@@ -236,9 +236,9 @@ class Scenario(Section):
     """What the controller reads."""
     stimuli: list[Stimulus] = Field(default=[])
     """Inputs of plant and controller that change at given times."""
-    record: Record | None = Field(default=None, validate_default=True)
+    record: RecordTable | None = Field(default=None, validate_default=True)
     """A measured file in place of plant and controller."""
-    validation: Validation | None = None
+    validation: ValidationTable | None = None
     """A second run, on which the identified model is compared with others."""
     checks: list[Check] = Field(default=[], validate_default=True)
     """The verdict: the scenario passes if all of them hold. Required with [plant]; a [record]
@@ -253,7 +253,9 @@ class Scenario(Section):
 
     @field_validator("record")
     @classmethod
-    def _something_to_run_on(cls, record: Record | None, info: ValidationInfo) -> Record | None:
+    def _something_to_run_on(
+        cls, record: RecordTable | None, info: ValidationInfo
+    ) -> RecordTable | None:
         if record is None and info.data.get("plant", ...) is None:
             raise PydanticCustomError("missing", "missing", {"keys": "plant or record"})
         return record

@@ -16,7 +16,7 @@ from bristle.common.units import interval, quantity
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.bus import Port
 from bristle.harness.scenario.reading import Loaded
-from bristle.harness.scenario.scenario import Noise, Sine, Stimulus
+from bristle.harness.scenario.scenario import NoiseTable, Sine, Stimulus
 
 Event = tuple[int, Port, float]
 Free = Mapping[str, tuple[str, Fmu]]  # input -> the unit that has it, and its FMU
@@ -38,7 +38,7 @@ class Signal:
         Value before the first of the levels.
     levels : tuple of (int, float)
         Step from which the input has a level, and the level.
-    sine, noise : (Sine, float), (Noise, float), optional
+    sine, noise : (Sine, float), (NoiseTable, float), optional
         What is added to the level, with its amplitude or rms in the unit of the input.
     """
 
@@ -48,7 +48,7 @@ class Signal:
     start: float
     levels: tuple[tuple[int, float], ...]
     sine: tuple[Sine, float] | None = None
-    noise: tuple[Noise, float] | None = None
+    noise: tuple[NoiseTable, float] | None = None
 
     @property
     def ports(self) -> tuple[Port, ...]:

@@ -88,9 +88,9 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run the scenario; raise `ScenarioError` if its verdict is not pass."""
-        from bristle.harness.suite.suite import Case, run_case
+        from bristle.harness.suite.suite import SuiteCase, run_case
 
-        tested = run_case(Case(self.path), self._out())
+        tested = run_case(SuiteCase(self.path), self._out())
         if tested.verdict != "error":
             self.add_report_section("call", "bristle", f"report: {self._out() / tested.report}")
         if tested.verdict != "pass":

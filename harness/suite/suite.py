@@ -24,20 +24,20 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.errors import BristleError
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import build_and_check, run
 from bristle.harness.scenario.catalogue import find_scenario, is_scenario
 from bristle.harness.scenario.vary import refuse_conflicts
 
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
-Work = Callable[["Case"], "CaseResult"]
+Work = Callable[["SuiteCase"], "CaseResult"]
 
 PATIENCE = 5.0  # s that ending a process may take
 LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
 
 
 @dataclass(frozen=True)
-class Case:
+class SuiteCase:
     """One run: a scenario file, a seed of the reference if one is given, and values that differ
     from the file's.
     """
@@ -66,7 +66,7 @@ class CaseResult:
     `origin` holds the SHA-256 of scenario file, FMUs and record.
     """
 
-    case: Case
+    case: SuiteCase
     verdict: str
     checks: tuple[Mapping[str, Any], ...] = ()
     wall_s: float = 0.0
@@ -77,6 +77,24 @@ class CaseResult:
     def report(self) -> Path:
         """Its report, relative to the folder of the suite."""
         return self.case.folder / self.case.path.stem / "report.html"
+
+
+class CasesError(BristleError):
+    """Cases that cannot be run, so that none of the suite is; a line for each mistake.
+
+    Attributes
+    ----------
+    tested : list of CaseResult
+        Those cases, of verdict error.
+    waiting : list of SuiteCase
+        The others.
+    """
+
+    def __init__(
+        self, message: str, tested: Sequence[CaseResult] = (), waiting: Sequence[SuiteCase] = ()
+    ) -> None:
+        super().__init__(message)
+        self.tested, self.waiting = list(tested), list(waiting)
 
 
 @dataclass(frozen=True)
@@ -104,7 +122,7 @@ def find_cases(
     seeds: Sequence[int],
     values: Sequence[Sequence[str]],
     overrides: Sequence[str] = (),
-) -> list[Case]:
+) -> list[SuiteCase]:
     """Return a case for each scenario, combination of values and seed.
 
     Parameters
@@ -137,14 +155,17 @@ def find_cases(
                 " rename one"
             )
     return [
-        Case(p, s, v) for p in paths for v in itertools.product(*values) for s in seeds or (None,)
+        SuiteCase(p, s, v)
+        for p in paths
+        for v in itertools.product(*values)
+        for s in seeds or (None,)
     ]
 
 
 def run_suite(
-    cases: Sequence[Case],
+    cases: Sequence[SuiteCase],
     out: Path,
-    options: Options | None = None,
+    options: RunOptions | None = None,
     jobs: int = 1,
     progress: Told | None = None,
 ) -> list[CaseResult]:
@@ -153,11 +174,11 @@ def run_suite(
 
     Parameters
     ----------
-    cases : sequence of Case
+    cases : sequence of SuiteCase
         What to run.
     out : Path
         Folder of the suite; each run has one below it.
-    options : Options, optional
+    options : RunOptions, optional
         How to run them; their overrides come before the values of a case.
     jobs : int
         Number of processes.
@@ -166,11 +187,11 @@ def run_suite(
 
     Raises
     ------
-    BristleError
+    CasesError
         Before anything runs, if a scenario cannot be run: one line for each.
     """
-    options = options or Options()
-    found: dict[Case, CaseResult] = {}
+    options = options or RunOptions()
+    found: dict[SuiteCase, CaseResult] = {}
 
     def keep(tested: CaseResult) -> None:
         found[tested.case] = tested
@@ -271,21 +292,26 @@ def _refuse_folders(of_key: Sequence[str]) -> None:
             )
 
 
-def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
-    """Check each scenario with each combination of values, and build its FMUs; raise `BristleError`
+def _check(cases: Sequence[SuiteCase], out: Path, options: RunOptions) -> None:
+    """Check each scenario with each combination of values, and build its FMUs; raise `CasesError`
     with all mistakes.
     """
-    mistakes = []
+    mistakes: dict[tuple[Path, tuple[str, ...]], str] = {}
     for case in {replace(case, seed=case.seed and 1): case for case in cases}.values():
         try:
             build_and_check(case.path, out / case.folder, _options(case, options))
         except BristleError as error:
-            mistakes.append(str(error))
+            mistakes[case.path, case.values] = str(error)
     if mistakes:
-        raise BristleError("\n".join(mistakes))
+        message = {case: mistakes.get((case.path, case.values)) for case in cases}
+        raise CasesError(
+            "\n".join(mistakes.values()),
+            [CaseResult(case, "error", message=said) for case, said in message.items() if said],
+            [case for case, said in message.items() if not said],
+        )
 
 
-def _options(case: Case, options: Options) -> Options:
+def _options(case: SuiteCase, options: RunOptions) -> RunOptions:
     return replace(
         options,
         overrides=(*options.overrides, *case.values),
@@ -293,10 +319,10 @@ def _options(case: Case, options: Options) -> Options:
     )
 
 
-def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResult:
+def run_case(case: SuiteCase, out: Path, options: RunOptions | None = None) -> CaseResult:
     """Run one case and write its result folder; an error of the scenario is a verdict, too."""
     try:
-        done = run(case.path, out / case.folder, _options(case, options or Options()))
+        done = run(case.path, out / case.folder, _options(case, options or RunOptions()))
     except BristleError as error:
         return CaseResult(case, "error", message=str(error))
     result = done.result
@@ -312,13 +338,13 @@ def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResul
 
 
 def _run_in_processes(
-    waiting: deque[Case], jobs: int, work: Work, keep: Callable[[CaseResult], None]
+    waiting: deque[SuiteCase], jobs: int, work: Work, keep: Callable[[CaseResult], None]
 ) -> None:
     """Run cases, one a process at a time, until none waits any more or a process is killed; that
     loses those under way.
     """
     count, broken = min(jobs, len(waiting)), False
-    running: dict[Future[CaseResult], Case] = {}
+    running: dict[Future[CaseResult], SuiteCase] = {}
     with _workers(count) as pool:
         while running or (waiting and not broken):
             try:
@@ -336,7 +362,7 @@ def _run_in_processes(
             child.kill()
 
 
-def _result(future: Future[CaseResult], case: Case) -> CaseResult:
+def _result(future: Future[CaseResult], case: SuiteCase) -> CaseResult:
     try:
         return future.result()
     except BrokenProcessPool:
@@ -347,7 +373,7 @@ def _result(future: Future[CaseResult], case: Case) -> CaseResult:
         return CaseResult(case, "error", message=message)
 
 
-def _remove_empty(out: Path, cases: Sequence[Case]) -> None:
+def _remove_empty(out: Path, cases: Sequence[SuiteCase]) -> None:
     """Remove the folders of runs that left nothing there."""
     for case in cases:
         for place in (case.folder, *case.folder.parents)[:-1]:

@@ -10,7 +10,9 @@ from xml.etree import ElementTree
 from bristle.common import pages
 from bristle.common.xml import printable
 from bristle.harness.metrics.checks import SIGNS, check_unit
-from bristle.harness.suite.suite import CaseResult, by_scenario, summaries
+from bristle.harness.suite.suite import CaseResult, SuiteCase, by_scenario, summaries
+
+NOT_RUN = "another scenario of the suite cannot be run, so none was"
 
 
 def verdict(tested: Sequence[CaseResult]) -> str:
@@ -63,9 +65,10 @@ def to_tree(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> dict
     }
 
 
-def junit(tested: Sequence[CaseResult]) -> bytes:
-    """Return JUnit: a suite a scenario, a case a run; what a check demands stands in its
-    failure.
+def junit(tested: Sequence[CaseResult], waiting: Sequence[SuiteCase] = ()) -> bytes:
+    """Return JUnit: a suite a scenario, a case a run; what a check demands stands in its failure.
+
+    `waiting` are cases that were not run because others cannot be; they are skipped ones.
     """
     root = ElementTree.Element("testsuites")
     for path, runs in by_scenario(tested).items():
@@ -86,6 +89,12 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
                 ElementTree.SubElement(
                     case, kind, {"message": said[0] if said else ""}
                 ).text = "\n".join(said)
+    for left in waiting:
+        name, attributes = left.path.stem, {"tests": "1", "skipped": "1"}
+        suite = ElementTree.SubElement(root, "testsuite", {"name": name, **attributes})
+        case_of = {"classname": name, "name": left.name or name, "time": "0.000"}
+        skipped = ElementTree.SubElement(suite, "testcase", case_of)
+        ElementTree.SubElement(skipped, "skipped", {"message": NOT_RUN})
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 

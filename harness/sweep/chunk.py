@@ -14,13 +14,13 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import CONTROL_SIZE, Control
 from bristle.fmus.isolate import isolated
-from bristle.harness.cosim.bus import Bus, Trace
+from bristle.harness.cosim.bus import Bus, BusTrace
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.cosim.node import Slaves
 from bristle.harness.run.checked import Checked, Simulate, check_loaded
 from bristle.harness.run.outcome import outcome
 from bristle.harness.scenario.parts import build_fmus
-from bristle.harness.sweep.design import Point
+from bristle.harness.sweep.design import SweepPoint
 from bristle.harness.sweep.lanes import Together, alike
 from bristle.harness.sweep.ship import unpacked
 from bristle.harness.sweep.spec import Sweep, load_point, parts_key
@@ -60,7 +60,7 @@ class Watcher:
             each[1] = 1
 
 
-def run_chunk(sweep: Sweep, points: Sequence[Point], watcher: Watcher | None = None) -> Rows:
+def run_chunk(sweep: Sweep, points: Sequence[SweepPoint], watcher: Watcher | None = None) -> Rows:
     """Make some runs, one after the other, and return a row for each; fewer if it is stopped.
 
     Runs with FMUs that may harm their process are made in a child process; if that dies, the runs
@@ -73,7 +73,7 @@ def run_chunk(sweep: Sweep, points: Sequence[Point], watcher: Watcher | None = N
     return _isolated_rows(here, points, watcher)
 
 
-def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> Rows:
+def _isolated_rows(sweep: Sweep, points: Sequence[SweepPoint], watcher: Watcher) -> Rows:
     def look(_done: int) -> None:
         if watcher.stopped:
             raise BristleError("stopped")
@@ -97,11 +97,11 @@ def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> R
         return [_row(sweep, points[0]) | _error(error)]
 
 
-def _rows_in_child(asked: tuple[Sweep, list[Point]], control: Control) -> Rows:
+def _rows_in_child(asked: tuple[Sweep, list[SweepPoint]], control: Control) -> Rows:
     return _rows(*asked, control, Watcher())
 
 
-def _rows(sweep: Sweep, points: Sequence[Point], control: Control, watcher: Watcher) -> Rows:
+def _rows(sweep: Sweep, points: Sequence[SweepPoint], control: Control, watcher: Watcher) -> Rows:
     rows: dict[int, dict[str, Any]] = {}
     with Slaves() as slaves:
         for run, simulate_run in _Simulation(sweep, control, slaves).each(points):
@@ -119,14 +119,14 @@ class _Prepared:
     checked and its `parts_key`.
     """
 
-    point: Point
+    point: SweepPoint
     row: dict[str, Any]
     seconds: float
     checked: Checked | None = None
     parts: str = ""
 
 
-def _prepared(sweep: Sweep, point: Point) -> _Prepared:
+def _prepared(sweep: Sweep, point: SweepPoint) -> _Prepared:
     row, begun = _row(sweep, point), time.perf_counter()
     try:
         loaded = load_point(sweep, point)
@@ -151,7 +151,7 @@ class _Simulation:
         self._sweep, self._control, self._slaves = sweep, control, slaves
         self._together: dict[str, Together | None] = {}
 
-    def each(self, points: Sequence[Point]) -> Iterator[tuple[_Prepared, Simulate]]:
+    def each(self, points: Sequence[SweepPoint]) -> Iterator[tuple[_Prepared, Simulate]]:
         """Yield each run with the function that simulates it, which is to be used before the next
         one is asked for.
         """
@@ -189,7 +189,7 @@ class _Simulation:
             for run, trace in zip(runs, traces, strict=True):
                 yield run, partial(self._alone, run, trace)
 
-    def _in_step(self, runs: Sequence[_Prepared], together: Together) -> Sequence[Trace | None]:
+    def _in_step(self, runs: Sequence[_Prepared], together: Together) -> Sequence[BusTrace | None]:
         begun = time.perf_counter()
         traces = together.run(
             [run.checked.bus for run in runs if run.checked is not None], self._control
@@ -202,11 +202,11 @@ class _Simulation:
     def _alone(
         self,
         run: _Prepared,
-        trace: Trace | None,
+        trace: BusTrace | None,
         bus: Bus,
         _progress: object = None,
         _timeout: object = None,
-    ) -> Trace:
+    ) -> BusTrace:
         """Return the trace that is there, for the bus that it is of; simulate any other."""
         if trace is not None and run.checked is not None and bus is run.checked.bus:
             return trace
@@ -240,7 +240,7 @@ def _judged(run: _Prepared, simulate_run: Simulate) -> dict[str, Any]:
     )
 
 
-def _row(sweep: Sweep, point: Point) -> dict[str, Any]:
+def _row(sweep: Sweep, point: SweepPoint) -> dict[str, Any]:
     """Return what is known of a run before it is made."""
     return {
         "key": sweep.key(point),

@@ -32,7 +32,7 @@ WRITTEN = f"{SPECS}, or a distribution such as uniform(a, b)"
 
 
 @dataclass(frozen=True)
-class Axis:
+class VariedKey:
     """A key of the scenario that varies: its path without quotes; values as overrides, or a
     distribution and its unit.
     """
@@ -82,7 +82,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One run of a sweep: its place, its seed if seeds are given, and what differs from the
     scenario's file.
     """
@@ -99,7 +99,7 @@ class Design:
     """
 
     asked: tuple[str, ...] = ()
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[VariedKey, ...] = ()
     seeds: tuple[int, ...] = ()
     samples: int = 0
     sampling: Sampling = "lhs"
@@ -111,7 +111,7 @@ class Design:
         listed = math.prod(len(axis.overrides) for axis in self.axes if axis.overrides)
         return listed * max(1, self.samples) * max(1, len(self.seeds))
 
-    def points(self) -> Iterator[Point]:
+    def points(self) -> Iterator[SweepPoint]:
         """Give the runs in their order: seeds change fastest, then the drawn values, then the last
         of the listed ones.
         """
@@ -132,7 +132,7 @@ class Design:
                     value for _, value in sorted(zip(order, (*chosen, *row), strict=True))
                 )
                 for seed in self.seeds or (None,):
-                    yield Point(next(count), values, seed)
+                    yield SweepPoint(next(count), values, seed)
 
     def trials(self) -> Iterator[tuple[str, ...]]:
         """Give the overrides that are checked before anything runs: each value of each axis, with
@@ -242,14 +242,14 @@ def _dimension(override: str) -> tuple[int, ...] | None:
         return None
 
 
-def axis_of(given: str) -> Axis:
+def axis_of(given: str) -> VariedKey:
     """Return the axis that a ``PATH=SPEC`` stands for."""
     path, separator, spec = (part.strip() for part in given.partition("="))
     found = DISTRIBUTION.fullmatch(spec)
     if not separator or not path or found is None:
         overrides = tuple(values_of(given, WRITTEN))
-        return Axis(".".join(keys_of(overrides[0].partition("=")[0])), overrides)
-    return Axis(
+        return VariedKey(".".join(keys_of(overrides[0].partition("=")[0])), overrides)
+    return VariedKey(
         ".".join(keys_of(path)), (), _distribution(given, found[1], found[2]), found[3] or ""
     )
 

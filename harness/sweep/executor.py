@@ -12,7 +12,7 @@ from typing import Any
 
 from bristle.common.errors import BristleError
 from bristle.harness.sweep.chunk import Rows, Watcher, run_chunk
-from bristle.harness.sweep.design import Point
+from bristle.harness.sweep.design import SweepPoint
 from bristle.harness.sweep.ship import packed
 from bristle.harness.sweep.spec import Sweep
 
@@ -44,7 +44,7 @@ class Means:
 @contextmanager
 def executor(
     sweep: Sweep, means: Means, watcher: Watcher
-) -> Iterator[tuple[Callable[[list[Point]], Future[Rows]], int]]:
+) -> Iterator[tuple[Callable[[list[SweepPoint]], Future[Rows]], int]]:
     """Give what takes chunks, and how many it works on at once; leaving the context in an error
     stops all of them.
     """

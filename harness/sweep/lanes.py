@@ -16,10 +16,10 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
-from bristle.harness.cosim.bus import Array, Bus, Port, Readings, Trace
-from bristle.harness.cosim.compiled import Compiled, Memory, Unit, library
+from bristle.harness.cosim.bus import Array, Bus, BusTrace, Port, Readings
+from bristle.harness.cosim.compiled import Compiled, LoopUnit, Memory, library
 from bristle.harness.cosim.ports import PORTS
-from bristle.harness.scenario.plan import Setup
+from bristle.harness.scenario.plan import RunSetup
 
 MOST_LANES = 8  # of the processors that are known
 RUNS_WORTH_IT = 100  # fewer runs take less time than the programs, which are made once a process
@@ -37,7 +37,7 @@ class Together:
 
     Parameters
     ----------
-    setup : Setup
+    setup : RunSetup
         Whose FMUs are bristle's own, compiled ones.
 
     Raises
@@ -46,7 +46,7 @@ class Together:
         If one is not, or this machine has no compiler.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: RunSetup) -> None:
         if any(fmu.risky for fmu in setup.fmus.values()):
             raise BristleError("an FMU from elsewhere, or in Python, runs alone")
         library()
@@ -54,7 +54,7 @@ class Together:
         self.width = next(iter(self.lanes.values())).width
         self._values: Array = np.empty((0, 0, 0))
 
-    def run(self, buses: Sequence[Bus], control: Control) -> list[Trace | None]:
+    def run(self, buses: Sequence[Bus], control: Control) -> list[BusTrace | None]:
         """Run buses that are `alike`, at most as many as there are lanes.
 
         Returns
@@ -70,7 +70,7 @@ class Together:
         if self._values.shape != shape:
             self._values = np.empty(shape)
         units = [instance.name for instance in bus.instances]
-        structures = (Unit * len(units))(*(_unit(self.lanes[name]) for name in units))
+        structures = (LoopUnit * len(units))(*(_unit(self.lanes[name]) for name in units))
 
         def flag(port: Port, lane: int) -> tuple[int, int, int]:
             return units.index(port[0]), self.lanes[port[0]].reference(port[1], lane), 0
@@ -84,7 +84,7 @@ class Together:
             for k in range(len(buses))
         ]
         return [
-            Trace(
+            BusTrace(
                 bus.record,
                 self._values[k, :rows],
                 bus.h,
@@ -118,19 +118,19 @@ class Together:
         return self.lanes[port[0]].place(port[1], lane)
 
 
-def _lanes(setup: Setup, name: str) -> Lanes:
+def _lanes(setup: RunSetup, name: str) -> Lanes:
     """Return lanes of the program of one FMU, of the chosen law or method alone."""
     part = getattr(setup.scenario, name)
     variant = getattr(part, PORTS[name].selector, None)
     return lanes_of(name, variant, getattr(part, "effects", ()))
 
 
-def _unit(lanes: Lanes) -> Unit:
+def _unit(lanes: Lanes) -> LoopUnit:
     """Return what the compiled loop needs: its variables are read and set where they are, so a step
     is all it calls.
     """
     get, step = lanes.function("lanes_get"), lanes.function("lanes_step")
-    return Unit(lanes.address, 0, get, 0, 0, step, 2, 0, 0, 0, 0, 0, 0, 0, 0)
+    return LoopUnit(lanes.address, 0, get, 0, 0, step, 2, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 def _finite(interval: tuple[float, float]) -> tuple[float, float]:

@@ -17,12 +17,12 @@ from bristle.common.errors import BristleError
 from bristle.common.provenance import provenance
 from bristle.common.toml import read_toml
 from bristle.fmus.host import Fmu
-from bristle.harness.run.checked import Options, check_loaded
+from bristle.harness.run.checked import RunOptions, check_loaded
 from bristle.harness.run.outcome import command_of
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.reading import Loaded, parse
 from bristle.harness.scenario.vary import refuse_conflicts
-from bristle.harness.sweep.design import Axis, Design, Point
+from bristle.harness.sweep.design import Design, SweepPoint, VariedKey
 from bristle.harness.sweep.lanes import RUNS_WORTH_IT
 
 MOST_MISTAKES = 10  # lines about values that cannot be run
@@ -30,15 +30,15 @@ MOST_MISTAKES = 10  # lines about values that cannot be run
 
 @dataclass(frozen=True)
 class Sweep:
-    """What all runs of a sweep share; a run is this and a `Point`.
+    """What all runs of a sweep share; a run is this and a `SweepPoint`.
 
     Attributes
     ----------
     path, text : Path, str
         The scenario file.
-    axes : tuple of Axis
+    axes : tuple of VariedKey
         What varies.
-    options : Options
+    options : RunOptions
         How to run.
     fmus : mapping of str to mapping of str to Fmu
         The FMUs of a run by what the scenario says of them (`parts_key`).
@@ -55,19 +55,19 @@ class Sweep:
 
     path: Path
     text: str
-    axes: tuple[Axis, ...]
-    options: Options
+    axes: tuple[VariedKey, ...]
+    options: RunOptions
     fmus: Mapping[str, dict[str, Fmu]]
     identity: str
     name: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
     lanes: bool = False
 
-    def key(self, point: Point) -> str:
+    def key(self, point: SweepPoint) -> str:
         """Return the hash of all that decides the result of a run."""
         return digest(self.identity, *point.overrides, f"seed {point.seed}")[:32]
 
-    def command(self, point: Point) -> str:
+    def command(self, point: SweepPoint) -> str:
         """Return the command that repeats one run alone."""
         overrides = (*self.options.overrides, *point.overrides)
         return command_of(self.path, replace(self.options, overrides=overrides, seed=point.seed))
@@ -83,7 +83,7 @@ class Sweep:
         return [fmu for each in self.fmus.values() for fmu in each.values()]
 
 
-def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
+def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
     """Read a scenario, try all listed values and the ends of the distributions, and build the FMUs.
 
     Raises
@@ -101,7 +101,7 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
     hashes: set[str] = set()
     for overrides in design.trials():
         try:
-            loaded = load_point(empty, Point(0, overrides, first_seed))
+            loaded = load_point(empty, SweepPoint(0, overrides, first_seed))
             key = parts_key(loaded)
             if key not in found:
                 found[key] = build_fmus(loaded, options.fmi, options.kind)
@@ -130,7 +130,7 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
     )
 
 
-def load_point(sweep: Sweep, point: Point) -> Loaded:
+def load_point(sweep: Sweep, point: SweepPoint) -> Loaded:
     """Return the scenario of one run."""
     overrides = (*sweep.options.overrides, *point.overrides)
     return parse(sweep.path, sweep.text, copy.deepcopy(_tree(sweep.text)), overrides, point.seed)

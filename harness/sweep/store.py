@@ -1,7 +1,7 @@
 """The store of a sweep: a folder of Parquet files, one a chunk of runs, each written whole or not
 at all.
 
-    STORE/sweeps/<hash>.json    what was asked for: scenario, values that vary, seeds, FMUs, provenance
+    STORE/sweeps/<hash>.json    what was asked for: scenario, varied values, seeds, FMUs, provenance
     STORE/runs/<hash>.parquet   one row a run; the hash is that of the keys of its runs
 
 The key of a run is the hash of all that decides its result: scenario, FMUs, options, version,

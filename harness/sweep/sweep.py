@@ -20,7 +20,7 @@ from bristle.common.errors import BristleError
 from bristle.common.output import plain
 from bristle.common.provenance import provenance
 from bristle.harness.sweep.chunk import Rows, Watcher
-from bristle.harness.sweep.design import Design, Point
+from bristle.harness.sweep.design import Design, SweepPoint
 from bristle.harness.sweep.executor import Means, executor
 from bristle.harness.sweep.lanes import MOST_LANES
 from bristle.harness.sweep.spec import Sweep
@@ -135,15 +135,15 @@ def _chunk_size(runs: int, workers: int, lanes: bool) -> int:
     return math.ceil(size / MOST_LANES) * MOST_LANES if lanes else size
 
 
-def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:
+def _batches(points: Iterator[SweepPoint], size: int) -> Iterator[list[SweepPoint]]:
     """Give the points in lists of a size, the last one shorter."""
     while batch := list(itertools.islice(points, size)):
         yield batch
 
 
 def _finished(
-    submit: Callable[[list[Point]], Future[Rows]],
-    chunks: Iterator[list[Point]],
+    submit: Callable[[list[SweepPoint]], Future[Rows]],
+    chunks: Iterator[list[SweepPoint]],
     most: int,
     look: Callable[[], None],
 ) -> Iterator[Rows]:

@@ -52,7 +52,7 @@ MOST_WORDS = 12  # different texts of a value that an axis has room for
 
 
 @dataclass(frozen=True)
-class Share:
+class PassingShare:
     """How many of how many, with the Clopper-Pearson interval of the share."""
 
     count: int
@@ -99,11 +99,11 @@ class Runs:
             [math.nan if value is None else float(value) for value in self.column(name)]
         )
 
-    def share(self, chosen: NDArray[np.bool_] | None = None) -> Share:
+    def share(self, chosen: NDArray[np.bool_] | None = None) -> PassingShare:
         """Return how many of the chosen runs pass."""
         passed = np.array([verdict == "pass" for verdict in self.verdict])
         chosen = np.ones(len(self), dtype=bool) if chosen is None else chosen
-        return Share(int(np.sum(passed & chosen)), int(np.sum(chosen)))
+        return PassingShare(int(np.sum(passed & chosen)), int(np.sum(chosen)))
 
     @property
     def parameters(self) -> list[str]:
@@ -175,7 +175,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
         found.append(
             {
                 "parameter": name,
-                "valid": Share(int(np.sum(np.isfinite(final))), int(np.sum(estimated))),
+                "valid": PassingShare(int(np.sum(np.isfinite(final))), int(np.sum(estimated))),
                 "errors": error[known],
                 "percentiles": (
                     np.percentile(error[known], PERCENTILES)
@@ -184,7 +184,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
                 ),
                 "worst": worst,
                 "worst_error": math.nan if worst is None else float(error[worst]),
-                "coverage": Share(int(np.sum(holds)), int(np.sum(told))),
+                "coverage": PassingShare(int(np.sum(holds)), int(np.sum(told))),
             }
         )
     return found
@@ -193,7 +193,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
 def summary(runs: Runs) -> dict[str, Any]:
     """Return the content of report.json: the figures of the report."""
 
-    def share(each: Share) -> dict[str, Any]:
+    def share(each: PassingShare) -> dict[str, Any]:
         return {
             "count": each.count,
             "total": each.total,
@@ -253,13 +253,13 @@ def _failed(runs: Runs) -> dict[str, int]:
     return dict(Counter(itertools.chain.from_iterable(said)).most_common())
 
 
-def _outcomes(runs: Runs) -> list[tuple[str, Share]]:
+def _outcomes(runs: Runs) -> list[tuple[str, PassingShare]]:
     """Return what runs came to, verdicts first, and how many of them did."""
     counts = Counter(runs.verdict)
     found = [(f"verdict {word}", counts[word]) for word in OUTCOMES if counts[word]]
     found += [(f"check fails: {name}", count) for name, count in _failed(runs).items()]
     found += Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
-    return [(what, Share(count, len(runs))) for what, count in found]
+    return [(what, PassingShare(count, len(runs))) for what, count in found]
 
 
 def _versions(runs: Runs) -> list[dict[str, Any]]:
@@ -320,7 +320,7 @@ def _mapped(runs: Runs) -> list[str]:
     ]
 
 
-def _groups(runs: Runs) -> list[tuple[str, str, Share]]:
+def _groups(runs: Runs) -> list[tuple[str, str, PassingShare]]:
     """Return the share of passing runs by each value that varies."""
     return [
         (runs.label(name), text, share)
@@ -329,7 +329,7 @@ def _groups(runs: Runs) -> list[tuple[str, str, Share]]:
     ]
 
 
-def _shares(runs: Runs, name: str) -> list[tuple[str, Share]]:
+def _shares(runs: Runs, name: str) -> list[tuple[str, PassingShare]]:
     """Return the share of passing runs by value, or by interval of equal numbers of runs where
     there are many values.
     """

@@ -14,8 +14,7 @@ CONTACT_DEPTH = 1e-3
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
-    """T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = twist beyond half the play; a contact never
-    pulls.
+    """T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = twist beyond half the play; contact never pulls.
 
     The damping grows with the deformation, so that the torque has no jump at contact. Sides as for
     compliance. Source: nordin2002 (dead-zone model of backlash); hunt1975 (contact damping; n = 1.5

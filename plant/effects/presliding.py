@@ -26,9 +26,7 @@ def displacements(e: Evidence) -> list[float]:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return bristles that slide after a few steps of the sensor, up to a good part of the
-    range.
-    """
+    """Return bristles that slide after a few steps of the sensor up to a good part of the range."""
     return [{"stiffness": e.level / reach} for reach in displacements(e)]
 
 

@@ -27,9 +27,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 
 def limits(m: RecordedMotion) -> Limits:
-    """A limit that a fifth of the input stays below: with less, only the sign of the input is
-    left.
-    """
+    """A limit that a fifth of the input stays below: with less, only its sign is left."""
     return {"limit": (float(np.quantile(np.abs(m.u), 1 - LARGEST_SHARE_CUT)), math.inf)}
 
 

@@ -30,8 +30,8 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     found = {}
     for i in PLACES:
         force, slip = p[f"F{i}"], p[f"slip{i}"]
-        sliding = p.C * (p[f"alpha{i}"] * slip - force / s)
-        found[i] = element(force, slip, v, p[f"k{i}"], p[f"alpha{i}"] * s, sliding, sizes)
+        rates = p[f"k{i}"] * v, p.C * (p[f"alpha{i}"] * slip - force / s)
+        found[i] = element(force, slip, v, p[f"alpha{i}"] * s, rates, sizes)
     return Friction(
         force=sum((p[f"F{i}"] for i in PLACES), ca.SX(0)),
         rates={f"F{i}": each.rate for i, each in found.items()},

@@ -32,10 +32,10 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     # never 0, where the power has no derivative by n
     ratio = ca.fmax(ca.fabs(level) / stribeck_curve(p, v), 1e-12)
     dz = v - ca.fabs(v) * ca.sign(level) * ratio**p.n
-    found = {
-        i: element(p[f"F{i}"], p[f"slip{i}"], dz, p[f"k{i}"], p[f"W{i}"], ca.SX(0), (p.Fc, p.vs))
-        for i in PLACES
-    }
+    found = {}
+    for i in PLACES:
+        rates = p[f"k{i}"] * dz, ca.SX(0)
+        found[i] = element(p[f"F{i}"], p[f"slip{i}"], dz, p[f"W{i}"], rates, (p.Fc, p.vs))
     return Friction(
         force=level + p.sigma1 * dz,
         rates={f"F{i}": each.rate for i, each in found.items()},

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian, gaussian_end, width_parameter
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 
 SX = ca.SX
@@ -49,60 +49,26 @@ def modified(
             true = {"c": p.c, "tau": p.tau, "sigma0": p.sigma0}
         return Friction(force=p.J * (p.w + p.tau * dw), rates={"w": dw}, true=true)
 
+    def weight(i: int) -> Parameter:
+        meaning = f"weight of basis function {i}"
+        return own(f"sigma{i}", f"sigma{i}", "1/s2", (values[i], -1e9, 1e9), meaning)
+
+    own, lagging = declaring(name, CITATION), declaring(name, "dixit2008 eq. (11)")
     values = (*_DEFAULTS[family], *[0.0] * count)
-    sigma = [
-        Parameter(
-            f"{name}.sigma0",
-            "sigma0",
-            "1/s2",
-            values[0],
-            1e-6,
-            1e9,
-            "stiffness over inertia",
-            CITATION,
-        ),
-        *(
-            Parameter(
-                f"{name}.sigma{i}",
-                f"sigma{i}",
-                "1/s2",
-                values[i],
-                -1e9,
-                1e9,
-                f"weight of basis function {i}",
-                CITATION,
-            )
-            for i in range(1, count + 1)
-        ),
-    ]
+    meaning = "friction acceleration without the viscous part"
     return FrictionLaw(
         name,
         f"modified LuGre friction, {family} basis",
         "dixit2008 eq. (13)-(17)",
         equations,
         parameters=(
-            *sigma,
-            Parameter(
-                f"{name}.c",
-                "c",
-                "1/rad",
-                150.0,
-                1e-6,
-                1e9,
-                "inverse presliding distance",
-                "dixit2008 eq. (17)",
-            ),
-            Parameter(f"{name}.tau", "tau", "s", 0.0, 0.0, 10.0, _TAU, "dixit2008 eq. (11)"),
+            own("sigma0", "sigma0", "1/s2", (values[0], 1e-6, 1e9), "stiffness over inertia"),
+            *(weight(i) for i in range(1, count + 1)),
+            own("c", "c", "1/rad", (150.0, 1e-6, 1e9), "inverse presliding distance"),
+            lagging("tau", "tau", "s", (0.0, 0.0, 10.0), _TAU),
             *([width_parameter(name)] if family == "gaussian" else []),
         ),
-        states=(
-            State(
-                "w",
-                "rad/s2",
-                "friction acceleration without the viscous part",
-                scale=lambda p: p.sigma0 / p.c,
-            ),
-        ),
+        states=(State("w", "rad/s2", meaning, scale=lambda p: p.sigma0 / p.c),),
     )
 
 

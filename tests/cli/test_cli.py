@@ -482,6 +482,7 @@ def test_help_is_quick(cli: Cli) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("number", "stage"),
     [

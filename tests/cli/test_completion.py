@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
-import bristle.cli.commands  # noqa: F401  # the application then has them
+import bristle.cli.commands  # noqa: F401 - imported so that the application has them
 from bristle.cli.app import app
 from bristle.cli.completion import (
     complete_effect,

@@ -30,9 +30,12 @@ RUN = ["run", "case.toml", "--out", "out"]
 DIAGNOSE = ["diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"]
 BUILD = ["build", "controller", "--out", "out"]
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux", reason="puts functions in the place of those of the C library"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        sys.platform != "linux", reason="puts functions in the place of those of the C library"
+    ),
+    pytest.mark.slow,
+]
 
 
 class Commands:
@@ -169,7 +172,7 @@ def crash(
     return seen
 
 
-NUMBER = pytest.mark.parametrize("number", [8, pytest.param(60, marks=pytest.mark.slow)])
+NUMBER = pytest.mark.parametrize("number", [8, 60])
 
 
 @NUMBER
@@ -190,6 +193,6 @@ def test_diagnose(commands: Commands, inputs: Path, number: int) -> None:
     assert crash(commands, DIAGNOSE, inputs, old, number) == {False, True}
 
 
-@pytest.mark.parametrize("number", [3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [3, 8])
 def test_build_into_an_empty_cache(commands: Commands, inputs: Path, number: int) -> None:
     assert crash(commands, BUILD, inputs, None, number) == {False, True}

@@ -144,6 +144,7 @@ def test_a_table_is_no_number(call: Call, folder: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "arguments", [["--version"], ["schema", "model"], ["build", "controller", "--out", "fmus"]]
 )

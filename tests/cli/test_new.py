@@ -150,10 +150,14 @@ kind = "position"
 unit = "rad"
 resolution = 3.834951969714103e-4
 ''')
-tried = ("fresh_effect", "quadratic_drag", "stribeck", "back_emf", "gravity", "hard_stop", "compliance")
+tried = (
+    *("fresh_effect", "quadratic_drag", "stribeck"),
+    *("back_emf", "gravity", "hard_stop", "compliance"),
+)
 stepwise.all_effects = lambda: {name: effects()[name] for name in tried}
 model = bristle.load_model("servo.toml")
-found = bristle.diagnose(model, bristle.records_from_arrays(model, [("run", t, u, theta)]), "diagnosed")
+records = bristle.records_from_arrays(model, [("run", t, u, theta)])
+found = bristle.diagnose(model, records, "diagnosed")
 print([effect.name for effect in found.effects])
 """
     assert run(written, "-c", program, site=installed).splitlines()[-1] == "['fresh_effect']"

@@ -1,6 +1,7 @@
 """`bristle test`: exit codes, what is printed, and that nothing runs where something cannot."""
 
 import json
+from xml.etree import ElementTree
 
 SCENARIO = """
 duration = "1 s"
@@ -60,6 +61,41 @@ def test_all_mistakes_are_said_before_anything_runs(call, tmp_path):
         code, _, err = call("test", tmp_path / "one.toml", *wrong, "--out", tmp_path / "out")
         assert code == 2
         assert len(err.strip().splitlines()) == 1
+
+
+def test_junit_says_what_cannot_be_run(call, tmp_path):
+    texts = {"bad": SCENARIO.replace('"rls"', '"rlss"'), "good": SCENARIO}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text.replace("LIMIT", "1"), encoding="utf-8")
+    out, file = tmp_path / "out", tmp_path / "j.xml"
+    asked = ("--seeds", "1-2", "--vary", "sensor=[clean]", "--out", out, "--junit", file)
+    code, said, complaint = call("test", tmp_path / "bad.toml", tmp_path / "good.toml", *asked)
+    assert (code, said, out.exists()) == (2, "", False)
+    root = ElementTree.parse(file).getroot()
+    found = [
+        (suite.get("name"), case.get("name"), [each.tag for each in case])
+        for suite in root
+        for case in suite
+    ]
+    assert sorted(found) == [
+        (scenario, f"sensor=clean, seed {seed}", [tag])
+        for scenario, tag in (("bad", "error"), ("good", "skipped"))
+        for seed in (1, 2)
+    ]
+    errors = [each.get("message") for each in root.iter("error")]
+    assert [f"bristle: {each}" for each in dict.fromkeys(errors)] == complaint.splitlines()
+    assert {suite.get("name"): suite.get("errors") for suite in root if suite.get("errors")} == {
+        "bad": "2"
+    }
+    code, _, complaint = call("test", tmp_path / "nowhere.toml", *asked)
+    errors = {each.get("message") for each in ElementTree.parse(file).getroot().iter("error")}
+    assert (code, {f"bristle: {each}\n" for each in errors}) == (2, {complaint})
+    assert "nowhere.toml" in complaint
+    code, _, complaint = call("test", tmp_path / "bad.toml", tmp_path / "bad.toml", *asked)
+    [error] = ElementTree.parse(file).getroot().iter("error")
+    assert (code, complaint) == (2, f"bristle: {error.get('message')}\n")
+    assert "is given twice" in complaint
+    assert not out.exists()
 
 
 def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(call, tmp_path):

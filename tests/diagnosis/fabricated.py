@@ -197,36 +197,26 @@ EXCITATION = Excitation(
 )
 
 
+COGGING = {
+    "amplitude": estimate(0.06, "N.m"),
+    "phase": estimate(0.4, "rad"),
+    "periods": estimate(7.0, "1", 0.1),
+    "amplitude2": estimate(0.0006, "N.m", 150),
+    "phase2": estimate(1.2, "rad", 90),
+}
+COGGING_STATEMENT = (
+    "Cogging explains the difference: a torque of 0.060 N·m that repeats 7 times in a turn.",
+    "On data that took no part in the search the gap shrank by 99.8 %. Nothing else stands out.",
+)
+
+
 def named() -> Diagnosis:
     """Cogging, found in two records."""
     second = tuple(replace(c, gain=c.gain / 60) for c in CANDIDATES[1:])
     return Diagnosis(
         verdict="named",
-        leads=(
-            (
-                "Cogging explains the difference: a torque of 0.060 N·m that repeats 7 times in a"
-                " turn."
-            ),
-            (
-                "On data that took no part in the search the gap shrank by 99.8 %. Nothing else"
-                " stands out."
-            ),
-        ),
-        effects=(
-            Named(
-                "cogging",
-                "cogging",
-                {
-                    "amplitude": estimate(0.06, "N.m"),
-                    "phase": estimate(0.4, "rad"),
-                    "periods": estimate(7.0, "1", 0.1),
-                    "amplitude2": estimate(0.0006, "N.m", 150),
-                    "phase2": estimate(1.2, "rad", 90),
-                },
-                388.0,
-                0.001,
-            ),
-        ),
+        leads=COGGING_STATEMENT,
+        effects=(Named("cogging", "cogging", COGGING, 388.0, 0.001),),
         ties=(),
         where=(position_view(0.06, 0.61), velocity_view(0.05)),
         remains=Unexplained(False, None, 0.03),

@@ -124,6 +124,7 @@ def miss(names, folder, late=False):
     return error, error / np.max(np.abs(reference(()) - wanted), axis=0)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", POSSIBLE)
 def test_a_corrected_plant_moves_as_if_it_had_the_effect(name, tmp_path):
     error, share = miss((name,), tmp_path)

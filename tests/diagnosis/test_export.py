@@ -341,7 +341,7 @@ max_abs = 15.0
 def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(
     answer, fabricated, tmp_path: Path
 ):
-    from bristle.harness.run.checked import Options
+    from bristle.harness.run.checked import RunOptions
     from bristle.harness.run.run import run
 
     volts = fabricated.model(
@@ -362,7 +362,7 @@ def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(
     done = run(
         tmp_path / "case.toml",
         tmp_path / "out",
-        Options(2, "native", (), None, False),
+        RunOptions(2, "native", (), None, False),
         lambda *progress: None,
     )
     assert done.passed, done.result["checks"]

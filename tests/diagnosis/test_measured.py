@@ -156,9 +156,7 @@ def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(
     assert named(model, data.odrive(compensated)) in groups
 
 
-def test_the_friction_of_a_worn_axis_that_differs_by_direction_is_named_and_holds_over_the_whole_record(
-    data,
-):
+def test_friction_by_direction_of_a_worn_axis_is_named_and_holds_over_the_whole_record(data):
     """An offset is the next best: with it twice the error is left on held-out segments, and the
     residual still follows velocity.
     """

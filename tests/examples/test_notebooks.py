@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +50,34 @@ def test_it_is_committed_without_outputs(name):
     code = [cell for cell in cells(name) if cell.cell_type == "code"]
     assert len(code) > 4
     assert all(cell.outputs == [] and cell.execution_count is None for cell in code)
+
+
+def test_the_extra_brings_what_a_fresh_environment_needs():
+    """What they import; and what builds the package that one of them installs, without isolation
+    and so from the environment: an old version of it may be there, or none.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    assert "bristle[frames]" in extras["notebooks"]
+    brought = {
+        re.split(r"[<>=\[]", each)[0]
+        for each in [*project["dependencies"], *extras["frames"], *extras["notebooks"]]
+    }
+    distributions, imported = packages_distributions(), set()
+    for name in SAID:
+        source = "\n".join(cell.source for cell in cells(name) if cell.cell_type == "code")
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                imported |= {each.name.split(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.split(".")[0])
+    outside = {name for name in imported if name not in sys.stdlib_module_names}
+    assert {"bristle", "matplotlib", "xarray"} <= outside
+    assert all(brought & set(distributions[name]) for name in outside)
+    template = (ROOT / "cli" / "templates" / "pyproject.txt").read_text(encoding="utf-8")
+    built_with = re.search(r'requires = \["([^"]+)"\]', template)
+    assert built_with is not None
+    assert built_with[1] in extras["notebooks"]
 
 
 @pytest.mark.slow

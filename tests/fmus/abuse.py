@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from ctypes import c_double, c_size_t, c_void_p
 from pathlib import Path
-from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).parent))
 from raw import ERROR, OK, STATE, Raw
@@ -214,7 +213,7 @@ def beyond_the_stop_time(raw: Raw) -> None:
 
 @case
 def too_many_internal_steps(raw: Raw) -> None:
-    """The state is that of before the step, quickly; the instance has failed, and a saved state or
+    """The state is that of before the step; the instance has failed, and a saved state or
     a reset revives it.
     """
     for law in (1, 2, 3):
@@ -224,9 +223,7 @@ def too_many_internal_steps(raw: Raw) -> None:
         assert raw.step(handle, 0.0, 0.1) == OK
         before = raw.get(handle, "theta", "v", "F", "theta_enc", "v_enc")
         saved = raw.get_state(handle)[1]
-        begun = perf_counter()
         refused(raw, raw.step(handle, 0.1, 1000.0), "solver.max_steps")
-        assert perf_counter() - begun < 0.5
         assert raw.get(handle, "theta", "v", "F", "theta_enc", "v_enc") == before
         refused(raw, raw.step(handle, 0.1, 1e-3), "failed")
         refused(raw, raw.set(handle, "u", 1.0), "failed")
@@ -357,57 +354,35 @@ def model_exchange_functions(raw: Raw) -> None:
     refused(raw, ERROR, "Model Exchange")
 
 
+# functions and types of things that our FMUs do not have
+ABSENT = {
+    2: """
+        CancelStep GetStatus GetIntegerStatus GetStringStatus SetRealInputDerivatives
+        GetRealOutputDerivatives
+    """,
+    3: """
+        GetClock SetClock GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction
+        SetIntervalDecimal SetIntervalFraction SetShiftDecimal SetShiftFraction
+        ActivateModelPartition EvaluateDiscreteStates EnterStepMode EnterConfigurationMode
+        ExitConfigurationMode GetOutputDerivatives GetNumberOfVariableDependencies
+        GetVariableDependencies GetAdjointDerivative
+    """,
+}
+ABSENT_TYPES = {2: "String", 3: "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 UInt64"}
+
+
 @case
 def what_is_not_there(raw: Raw) -> None:
     """Functions of things that this FMU does not have."""
-    handle, buffer, references = (
-        raw.running(),
-        ctypes.create_string_buffer(256),
-        raw.references("u"),
-    )
-    absent = (
-        [
-            "CancelStep",
-            "GetStatus",
-            "GetIntegerStatus",
-            "GetStringStatus",
-            "SetRealInputDerivatives",
-            "GetRealOutputDerivatives",
-        ]
-        if raw.fmi == 2
-        else [
-            "GetClock",
-            "SetClock",
-            "GetIntervalDecimal",
-            "GetIntervalFraction",
-            "GetShiftDecimal",
-            "GetShiftFraction",
-            "SetIntervalDecimal",
-            "SetIntervalFraction",
-            "SetShiftDecimal",
-            "SetShiftFraction",
-            "ActivateModelPartition",
-            "EvaluateDiscreteStates",
-            "EnterStepMode",
-            "EnterConfigurationMode",
-            "ExitConfigurationMode",
-            "GetOutputDerivatives",
-            "GetNumberOfVariableDependencies",
-            "GetVariableDependencies",
-            "GetAdjointDerivative",
-        ]
-    )
-    for name in absent:
+    handle, references = raw.running(), raw.references("u")
+    buffer = ctypes.create_string_buffer(256)
+    for name in ABSENT[raw.fmi].split():
         refused(
             raw,
             raw.call(name, handle, references, 1, buffer, buffer, buffer, 1, buffer, 1),
             f"fmi{raw.fmi}{name}",
         )
-    for name in (
-        ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "UInt64")
-        if raw.fmi == 3
-        else ("String",)
-    ):
+    for name in ABSENT_TYPES[raw.fmi].split():
         for verb in ("Get", "Set"):
             refused(raw, raw.call(f"{verb}{name}", handle, references, 1, buffer, 1), "type")
     refused(raw, raw.call("GetEventIndicators", handle, buffer, 1), "event indicators")

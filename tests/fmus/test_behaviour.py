@@ -15,7 +15,7 @@ from bristle.common.errors import BristleError
 from bristle.fmus.conformance import (
     BEHAVIOUR,
     POINTS,
-    Result,
+    PointResult,
     Severity,
     Verdict,
     conformance,
@@ -139,7 +139,7 @@ def test_an_fmu_without_a_library_for_this_machine_is_not_tested(
 
 
 @pytest.fixture
-def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[Result]:
+def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[PointResult]:
     """Results where each point of behaviour fails and no other."""
     rows = [{"id": name, "verdict": Verdict.passed, "findings": []} for name in POINTS]
     rows += [
@@ -149,7 +149,7 @@ def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[Resu
     return conformance(good[2])
 
 
-def test_the_results_as_junit(good: dict[int, Path], results: list[Result]) -> None:
+def test_the_results_as_junit(good: dict[int, Path], results: list[PointResult]) -> None:
     suite = ElementTree.fromstring(junit(good[2], results))
     assert suite.get("failures") == str(len(BEHAVIOUR))
     assert {case.get("name") for case in suite if case.find("failure") is not None} == set(
@@ -157,7 +157,7 @@ def test_the_results_as_junit(good: dict[int, Path], results: list[Result]) -> N
     )
 
 
-def test_the_results_as_sarif(good: dict[int, Path], results: list[Result]) -> None:
+def test_the_results_as_sarif(good: dict[int, Path], results: list[PointResult]) -> None:
     tree = sarif(good[2], results)
     [run] = tree["runs"]
     rules = run["tool"]["driver"]["rules"]

@@ -219,6 +219,33 @@ def kinds(fmu, *causalities):
     }
 
 
+def each_variant(fmu, raw):
+    """Give an instance of each variant."""
+    selector = [v for v in fmu.description.modelVariables if v.type == "Enumeration"]
+    for choice in range(1, int(selector[0].max) + 1) if selector else [1]:
+        handle = raw.instantiate()
+        if selector:
+            assert raw.set(handle, selector[0].name, choice, "Integer") == 0
+        yield handle
+
+
+def changed_by(raw, handle, outputs, name):
+    """Return the outputs that another value of an input changes; the old one is set again."""
+    before, [old] = values(raw, handle, outputs), raw.get(handle, name)
+    raw.set(handle, name, old + 0.4)
+    found = differs(before, values(raw, handle, outputs))
+    raw.set(handle, name, old)
+    return found
+
+
+def moved(v, rng):
+    """Return a value near the start value of a variable, within its limits."""
+    start, low, high = (
+        float(x) if x is not None else d for x, d in ((v.start, 0), (v.min, -9.0), (v.max, 9.0))
+    )
+    return min(max(start * 1.3 + 0.3 * rng.random(), low), high)
+
+
 @pytest.mark.parametrize(
     "case",
     [*WHOLE, ("plant", {"law": "lugre", "encoder": False}), ("plant", {"law": "coulomb"})],
@@ -233,11 +260,7 @@ def test_outputs_depend_on_no_more_inputs_than_declared(built, Raw, case):
     declared = {u.variable.name: {d.name for d in u.dependencies} for u in fmu.description.outputs}
     inputs = fmu.names("input")
     found = {name: set() for name in outputs}
-    selector = [v for v in fmu.description.modelVariables if v.type == "Enumeration"]
-    for choice in range(1, int(selector[0].max) + 1) if selector else [1]:
-        handle = raw.instantiate()
-        if selector:
-            assert raw.set(handle, selector[0].name, choice, "Integer") == 0
+    for handle in each_variant(fmu, raw):
         assert raw.start(handle) == 0
         for k in range(20):
             # at rest first: that is where dry friction depends on the voltage
@@ -245,11 +268,8 @@ def test_outputs_depend_on_no_more_inputs_than_declared(built, Raw, case):
                 assert raw.set(handle, name, 0.7 + 0.2 * math.sin(k)) == 0
             assert raw.step(handle, 1e-3 * k, 1e-3) == 0
             for name in inputs:
-                before, [old] = values(raw, handle, outputs), raw.get(handle, name)
-                raw.set(handle, name, old + 0.4)
-                for changed in differs(before, values(raw, handle, outputs)):
+                for changed in changed_by(raw, handle, outputs, name):
                     found[changed].add(name)
-                raw.set(handle, name, old)
         raw.free(handle)
     for name in outputs:
         assert found[name] <= declared[name], name
@@ -284,20 +304,11 @@ def test_initial_values_depend_on_no_more_than_declared(built, Raw, case):
         for v in fmu.description.modelVariables
         if v.causality in ("parameter", "input") and v.type == "Real"
     ]
-    selector = [v for v in fmu.description.modelVariables if v.type == "Enumeration"]
-    for choice in range(1, int(selector[0].max) + 1) if selector else [1]:
-        handle = raw.instantiate()
-        if selector:
-            raw.set(handle, selector[0].name, choice, "Integer")
+    for handle in each_variant(fmu, raw):
         assert raw.enter(handle) == 0
         for v in settable:
-            start, low, high = (
-                float(x) if x is not None else d
-                for x, d in ((v.start, 0), (v.min, -9.0), (v.max, 9.0))
-            )
             before = values(raw, handle, unknowns)
-            moved = min(max(start * 1.3 + 0.3 * rng.random(), low), high)
-            assert raw.set(handle, v.name, moved) == 0
+            assert raw.set(handle, v.name, moved(v, rng)) == 0
             for changed in differs(before, values(raw, handle, unknowns)):
                 found[changed].add(v.name)
         raw.free(handle)

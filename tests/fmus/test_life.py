@@ -49,6 +49,7 @@ def run(raw, handle, what, outputs, first, last):
     return np.array(rows).tobytes()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_reset_gives_a_fresh_instance_from_every_state(built, Raw, case):
     """Ten lifecycles, each abandoned somewhere else; what comes after a reset is bitwise what a new
@@ -81,6 +82,7 @@ def raw_time(start, life):
     return start + 0.01 * (life + 1)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_interleaved_instances_do_not_interact(built, Raw, case):
     what, fmi = case
@@ -98,6 +100,7 @@ def test_interleaved_instances_do_not_interact(built, Raw, case):
         raw.free(handle)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_states_continue_bitwise(built, Raw, case):
     """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in
@@ -180,6 +183,7 @@ def test_a_state_keeps_mode_and_parameters(built, Raw):
 # -- steps -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "law", ["lugre", "elastoplastic", "gms", "leuven", "modified", "viscous", "coulomb"]
 )

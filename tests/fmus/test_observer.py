@@ -17,7 +17,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu, Slave
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.observer import methods
 
@@ -43,8 +43,8 @@ def record():
     row a sample.
     """
     instances = (
-        Instance("plant", Fmu(obtain("plant")), {}),
-        Instance("controller", Fmu(obtain("controller")), {}),
+        BusUnit("plant", Fmu(obtain("plant")), {}),
+        BusUnit("controller", Fmu(obtain("controller")), {}),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     taps = (("controller", "u"), ("plant", "theta_enc"), ("plant", "v_enc"))
@@ -56,7 +56,7 @@ def replayed(method, others=()):
     to.
     """
     fmu, seen = Fmu(obtain("observer")), record()
-    own = Instance("observer", fmu, {"method": fmu.choices("method")[method]})
+    own = BusUnit("observer", fmu, {"method": fmu.choices("method")[method]})
     series = {
         ("observer", name): np.ascontiguousarray(seen[:-1, i])
         for i, name in enumerate(continued().SEEN)
@@ -70,7 +70,7 @@ def replayed(method, others=()):
 def plants():
     """Return the plant, and the same one with each of its hidden states and parameters moved."""
     fmu = Fmu(obtain("plant"))
-    base = Instance("plant", fmu, {"law": fmu.choices("law")["modified"]})
+    base = BusUnit("plant", fmu, {"law": fmu.choices("law")["modified"]})
     moved = {
         "J": 0.002,
         "b": 0.01,

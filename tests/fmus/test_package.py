@@ -188,25 +188,21 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_what_is_there_is_not_built_again():
-    """A second `obtain` imports nothing symbolic, starts no compiler, and is quick; time of a whole
-    process included.
-    """
+    """A second `obtain` imports nothing symbolic and starts no compiler."""
     paths = {what: str(obtain(what)) for what in ("plant", "observer", "controller")}
     code = """
-import subprocess, sys, time
+import subprocess, sys
 def never(*a, **k): raise AssertionError("a process was started")
 subprocess.Popen.__init__ = never
-begun = time.perf_counter()
 from bristle.fmus import obtain
 paths = [str(obtain(what)) for what in ("plant", "observer", "controller")]
-assert not {"casadi", "fmpy", "pythonfmu"} & set(sys.modules), "symbolic or FMI packages were imported"
-print(time.perf_counter() - begun, *paths, sep="\\n")
+imported = {"casadi", "fmpy", "pythonfmu"} & set(sys.modules)
+assert not imported, "symbolic or FMI packages were imported"
+print(*paths, sep="\\n")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    seconds, *found = done.stdout.split()
-    assert found == list(paths.values())
-    assert float(seconds) < 0.5
+    assert done.stdout.split() == list(paths.values())
 
 
 def test_a_changed_source_is_another_fmu(monkeypatch):
@@ -236,3 +232,17 @@ def test_a_changed_source_is_another_fmu(monkeypatch):
     fresh = module_from_spec(module.__spec__)
     module.__spec__.loader.exec_module(fresh)
     assert fresh._key("native", "plant", 2, None) not in before
+
+
+def test_the_time_that_is_told_grows_with_the_equations(monkeypatch):
+    """Of one law, of several on one core, and of the same with a core for each."""
+    module = importlib.import_module("bristle.fmus.build")
+    laws = [module.program_of("plant", law) for law in ("viscous", "modified", "gms")]
+    alone = [module.compile_seconds(each) for each in laws]
+    assert 1.0 < alone[0] < alone[1] < alone[2] < 3.0
+    whole = module.program_of("plant")
+    times = []
+    for cores in (1, 2, 100):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
+        times.append(module.compile_seconds(whole))
+    assert times[0] > times[1] > times[2] >= alone[2]

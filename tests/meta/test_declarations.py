@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bristle.common.units import parse_unit
+from bristle.model.declarations import source_keys
 from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant.effects import effects
@@ -46,6 +47,11 @@ def parameters():
 
 def files():
     return sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+
+
+def known_sources():
+    """Return the keys of the library and those of the folders of plug-ins."""
+    return source_keys().union(KEYS)
 
 
 def docstring_sources():
@@ -94,7 +100,7 @@ def test_every_parameter_is_declared_in_full():
         keys = KEY.findall(p.source)
         assert keys, f"{name}: source '{p.source}' names no key"
         assert p.source.startswith(keys[0]), name
-        assert set(keys) <= set(KEYS), f"{name}: {p.source}"
+        assert set(keys) <= known_sources(), f"{name}: {p.source}"
 
 
 def test_a_parameter_has_one_default_everywhere():
@@ -110,7 +116,7 @@ def test_every_law_says_what_it_is_and_where_it_comes_from(name):
     law = laws()[name]
     assert law.name == name
     assert len(law.description.split()) >= 2
-    assert set(KEY.findall(law.source)) & set(KEYS)
+    assert set(KEY.findall(law.source)) & known_sources()
     assert all(p.name.startswith(f"{name}.") for p in law.parameters)
     assert "Source:" in (law.equations.__doc__ or "")
 
@@ -139,7 +145,7 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     assert effect.name == name
     assert len(effect.description.split()) >= 2
     assert 2 <= len(effect.title.split()) <= 5
-    assert set(KEY.findall(effect.source)) & set(KEYS)
+    assert set(KEY.findall(effect.source)) & known_sources()
     slots = (
         effect.command,
         effect.drive,

@@ -63,7 +63,7 @@ PUBLIC = {
     "bristle.fmus.conformance": [
         "BEHAVIOUR",
         "POINTS",
-        "Result",
+        "PointResult",
         "Severity",
         "Verdict",
         "conformance",
@@ -82,7 +82,7 @@ PUBLIC = {
     "bristle.model.native": ["Native"],
     "bristle.model.program": ["Program"],
     "bristle.model.system": ["DryRow", "System"],
-    "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable"],
+    "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable", "declaring"],
     "bristle.observer": ["estimated", "methods", "observer_program"],
     "bristle.observer.method": [
         "EquationContext",

@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
 CONSOLES = re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+LAW_FILE = "my_models/laws/lorentzian.py"
 ADDED = ("lorentzian", "cubic_damper", "projection")
 FOLDERS = {
     "laws": "plant/friction",
@@ -108,6 +109,20 @@ def test_the_tests_of_the_catalogue_pass_with_the_files(written, files, wanted):
     )
     printed = shell(command, ROOT, **{PLUGINS_VARIABLE: str(written / "my_models")})
     assert re.search(r"\d+ passed|100%", printed), printed
+
+
+def test_the_tests_of_declarations_pass_with_a_source_of_the_folder(written, tmp_path):
+    (tmp_path / "laws").mkdir()
+    text = (written / LAW_FILE).read_text(encoding="utf-8")
+    assert text.count("armstrong1994") >= 3  # of the law, of its parameters, of the equation
+    ours = text.replace("armstrong1994", "rig2026")
+    (tmp_path / "laws" / "lorentzian.py").write_text(ours, encoding="utf-8")
+    entry = "@misc{rig2026,\n  author = {A Lab},\n  title = {A rig},\n  year = {2026},\n}\n"
+    (tmp_path / "references.bib").write_text(entry, encoding="utf-8")
+    command = "python -m pytest -q -n 0 -p no:cacheprovider tests/meta/test_declarations.py"
+    wanted = "'declared_in_full or every_law or sources or references'"
+    printed = shell(f"{command} -k {wanted}", ROOT, **{PLUGINS_VARIABLE: str(tmp_path)})
+    assert "100%" in printed, printed
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections import Counter
+from collections import Counter, defaultdict
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -127,6 +127,26 @@ def test_no_files_of_the_harness_import_each_other_in_a_circle():
         sorter.prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+def public_classes():
+    """Return the files that define each public class, by its name."""
+    found = defaultdict(set)
+    for room in ALLOWED:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    found[node.name].add(path.relative_to(ROOT).as_posix())
+    return found
+
+
+def test_no_class_of_the_harness_shares_its_name():
+    shared = {
+        name: files
+        for name, files in public_classes().items()
+        if len(files) > 1 and any(file.startswith("harness/") for file in files)
+    }
+    assert not shared
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -16,19 +16,19 @@ from bristle.diagnosis.report import html as diagnosis_page
 from bristle.diagnosis.report import validation_page
 from bristle.harness.baseline import comparison_page
 from bristle.harness.baseline.verdicts import (
-    Comparison,
     QuantityVerdict,
+    RunComparison,
     SignalCourse,
     SignalVerdict,
 )
-from bristle.harness.coupling.coupling import Coupling, Error, Scheme, _page
-from bristle.harness.exchange.replay import Agreement
+from bristle.harness.coupling.coupling import CouplingCost, Error, Scheme, _page
+from bristle.harness.exchange.replay import SignalAgreement
 from bristle.harness.paper import reproduce_page
 from bristle.harness.paper.printed_numbers import FIGURES
 from bristle.harness.paper.schemes import COMPARED, SCHEMES
 from bristle.harness.run import run_page
 from bristle.harness.suite import suite_page
-from bristle.harness.suite.suite import Case, CaseResult
+from bristle.harness.suite.suite import CaseResult, SuiteCase
 from bristle.harness.sweep.store import Store
 from bristle.harness.sweep.sweep_page import Runs
 from bristle.harness.sweep.sweep_page import render as render_sweep
@@ -68,7 +68,7 @@ def run_of(_):
 
 
 def suite_of(_):
-    case = Case(Path(f"{EVIL}.toml"), values=(EVIL,))
+    case = SuiteCase(Path(f"{EVIL}.toml"), values=(EVIL,))
     held, broken = (CHECK | {"pass": holds} for holds in (True, False))
     runs = [CaseResult(case, "pass", (held,)), CaseResult(case, "fail", (broken,))]
     return suite_page.render([*runs, CaseResult(case, "error", message=EVIL)], {EVIL: EVIL})
@@ -93,7 +93,7 @@ def comparison_of(_):
     course = SignalCourse(x, x, x - 1, x + 1, x)
     signals = (SignalVerdict(EVIL, False, 2.0, 1.0, 1.0, 1.0, 0.0, 2.0, EVIL),)
     numbers = (QuantityVerdict(EVIL, EVIL, 1.0, 2.0, 0.1, False, EVIL),)
-    found = Comparison(
+    found = RunComparison(
         EVIL, EVIL, EVIL, 3, 3, (), signals, numbers, (EVIL,), {EVIL: course}, (MADE, MADE)
     )
     refused = replace(found, refused=(EVIL,))
@@ -102,13 +102,13 @@ def comparison_of(_):
 
 def coupling_of(_):
     scheme = Scheme(EVIL, EVIL, {EVIL: Error(1.0, 1.0, 1.0, None)}, {EVIL: 1.0})
-    found = Coupling(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))
+    found = CouplingCost(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))
     return _page(found, MADE).decode()
 
 
 def replay_of(_):
     found = SimpleNamespace(
-        agreement=(Agreement(EVIL, None, 0.0, 1.0, EVIL),),
+        agreement=(SignalAgreement(EVIL, None, 0.0, 1.0, EVIL),),
         compared=True,
         failure=EVIL,
         passed=False,
@@ -125,7 +125,7 @@ def experiments_of(_):
         passed=False,
         verdict=EVIL,
         summary=EVIL,
-        agreement=(Agreement(EVIL, None, 0.0, 1.0, EVIL),),
+        agreement=(SignalAgreement(EVIL, None, 0.0, 1.0, EVIL),),
     )
     found = SimpleNamespace(passed=False, changed=(EVIL,), experiments=(each,))
     data = {"fmu": EVIL, "found": found, "signals": each.agreement, "files": [EVIL]}

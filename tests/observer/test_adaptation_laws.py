@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.basis import gaussian
 from bristle.model.native import Native
@@ -73,8 +73,8 @@ def record(name, seconds=100.0, order=1):
     """
     law, parameters = PLANTS[name]
     servo = {"J": 0.001, "b": 0.0065, "a2": 0.002} | parameters
-    plant = Instance("plant", Fmu(obtain("plant", law=law)), servo)
-    controller = Instance(
+    plant = BusUnit("plant", Fmu(obtain("plant", law=law)), servo)
+    controller = BusUnit(
         "controller", Fmu(obtain("controller")), {"seed": 7.0, "order": float(order)}
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))

@@ -12,7 +12,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.native import Native
 from bristle.observer import kalman, observer_program, self_starting_ekf
@@ -48,8 +48,8 @@ def record(
     how large it is [N.m].
     """
     law, parameters = LAWS[plant]
-    servo = Instance("plant", Fmu(obtain("plant", law=law)), SERVO | parameters)
-    controller = Instance(
+    servo = BusUnit("plant", Fmu(obtain("plant", law=law)), SERVO | parameters)
+    controller = BusUnit(
         "controller", Fmu(obtain("controller")), {"seed": 5.0, "order": float(order)}
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))

@@ -12,7 +12,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.basis import gaussian
 from bristle.model.native import Native
@@ -40,8 +40,8 @@ def record(torque: float = 0.0, width: float = 1.0) -> dict[str, np.ndarray]:
     """Return 60 s of set S under the reference controller, with a load torque [N.m] and a width of
     the basis functions.
     """
-    plant = Instance("plant", Fmu(obtain("plant", law="modified")), {"modified.width": width})
-    controller = Instance("controller", Fmu(obtain("controller")), {"seed": 3.0, "order": 2.0})
+    plant = BusUnit("plant", Fmu(obtain("plant", law="modified")), {"modified.width": width})
+    controller = BusUnit("controller", Fmu(obtain("controller")), {"seed": 3.0, "order": 2.0})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     events = ((0, ("plant", "tau_load"), torque),)

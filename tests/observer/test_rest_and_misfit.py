@@ -11,7 +11,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.native import Native
 from bristle.observer import methods, observer_program
@@ -32,12 +32,12 @@ def record(
     """
     load = given.pop("load", 0.0)
     parameters = {name.replace("__", "."): value for name, value in given.items()}
-    plant = Instance(
+    plant = BusUnit(
         "plant",
         Fmu(obtain("plant", law="modified", effects=[effect] if effect else ())),
         parameters,
     )
-    controller = Instance("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": 1.0})
+    controller = BusUnit("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": 1.0})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     events = [(round(t / STEP), ("controller", "reference_scale"), scale) for t, scale in moves]

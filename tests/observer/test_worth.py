@@ -12,7 +12,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.model.native import Native
 from bristle.observer import information, methods, observer_program
@@ -39,8 +39,8 @@ def record(
     law: str = "modified", seconds: float = 60.0, seed: float = 3.0
 ) -> dict[str, np.ndarray]:
     """Return u, position and velocity of a plant under the reference controller."""
-    plant = Instance("plant", Fmu(obtain("plant", law=law)), WIDE if law == "lugre" else {})
-    controller = Instance("controller", Fmu(obtain("controller")), {"seed": seed, "order": 2.0})
+    plant = BusUnit("plant", Fmu(obtain("plant", law=law)), WIDE if law == "lugre" else {})
+    controller = BusUnit("controller", Fmu(obtain("controller")), {"seed": seed, "order": 2.0})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     trace = simulate(Bus((plant, controller), round(seconds / STEP), STEP, links, record=names))

@@ -259,7 +259,7 @@ def test_every_effect_joins_every_law_or_is_refused(law_name):
         }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_each_runs_for_two_seconds_and_shows(law_name):
     program, u = every(law_name), voltages(2000, 3.0 if law_name == "modified_polynomial" else 1.5)
@@ -275,7 +275,7 @@ def test_each_runs_for_two_seconds_and_shows(law_name):
         assert np.max(np.abs(found[:, 0] - found[:, 3])) < 2 * math.pi / 40000 + 1e-12, name
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_with_zero_strength_it_is_the_servo_without_the_effect(law_name):
     program, u = every(law_name), voltages(2000, 3.0 if law_name == "modified_polynomial" else 1.5)
@@ -378,6 +378,7 @@ def test_without_a_law_a_plant_has_all_laws_that_the_effects_can_join():
     assert 1 < len(rigid) < len(laws())
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_changes_a_parameter_leaves_no_true_value_of_it(name):
     """Whatever scales or adds dry friction, splits the inertia, or acts in proportion to input or
@@ -409,6 +410,7 @@ def test_what_changes_a_parameter_leaves_no_true_value_of_it(name):
 # -- arithmetic ------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_generated_python_gives_the_same_digits(name):
     program, n = lean(name), 200

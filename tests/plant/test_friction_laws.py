@@ -500,6 +500,7 @@ def elastoplastic(x, u):
     return S0 * z + S1 * dz, [dz]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "equations", [dahl, lugre_velocity_damping, elastoplastic], ids=lambda e: e.__name__
 )
@@ -697,6 +698,7 @@ FITTED = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", list(FITTED))
 def test_derivatives_are_those_of_the_motion_over_every_switch(name):
     """Exact derivatives of the steps against differences of whole runs, in which the switching

@@ -11,7 +11,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.metrics.fit import Data, LeanModel, fit
 
@@ -33,7 +33,7 @@ def lugre_record(damping: float, order: int) -> Data:
         "lugre.vs": VS,
     }
     instances = (
-        Instance(
+        BusUnit(
             "plant",
             plant,
             {
@@ -44,7 +44,7 @@ def lugre_record(damping: float, order: int) -> Data:
                 **friction,
             },
         ),
-        Instance("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": float(order)}),
+        BusUnit("controller", Fmu(obtain("controller")), {"seed": 1.0, "order": float(order)}),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     trace = simulate(

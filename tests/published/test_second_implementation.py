@@ -21,9 +21,12 @@ SIGMA0, SIGMA1, FC, FS, VS, SIGMA2 = 1e5, math.sqrt(1e5), 1.0, 1.5, 1e-3, 0.4
 SPRING, PULL, SECONDS = 2.0, 0.1, 28.0  # N/m, m/s, s
 MODEL = f"""<mujoco>
 <option timestep="{{step}}" gravity="0 0 0"/>
-<worldbody><body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
+<worldbody>
+<body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body>
+</worldbody>
 <actuator>
-<dcmotor joint="x" motorconst="1 1" resistance="{1 / SIGMA2}" lugre="{SIGMA0} {SIGMA1} {FC} {FS} {VS}"/>
+<dcmotor joint="x" motorconst="1 1" resistance="{1 / SIGMA2}"
+ lugre="{SIGMA0} {SIGMA1} {FC} {FS} {VS}"/>
 </actuator>
 </mujoco>"""  # without a voltage the motor's back-EMF is viscous friction of K^2/R = sigma2
 

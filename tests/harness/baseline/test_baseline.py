@@ -43,8 +43,13 @@ from bristle.harness.baseline.repeats import (
     toolchains,
 )
 from bristle.harness.baseline.tube import SAFETY
-from bristle.harness.baseline.verdicts import Comparison, SignalCourse, comparison_json, differences
-from bristle.harness.run.checked import Checked, Options
+from bristle.harness.baseline.verdicts import (
+    RunComparison,
+    SignalCourse,
+    comparison_json,
+    differences,
+)
+from bristle.harness.run.checked import Checked, RunOptions
 from bristle.harness.run.results import thinned
 from bristle.harness.run.run import build_and_check, run
 
@@ -88,7 +93,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def accepted(place: Path) -> tuple[Path, Baseline]:
     """The baseline of the stick-slip scenario, as a folder and as it was made."""
-    checked = build_and_check(place / "stick.toml", place, Options(full=True))
+    checked = build_and_check(place / "stick.toml", place, RunOptions(full=True))
     found = make_baseline(checked, ways=uncompiled(checked))
     return write_baseline(place / "kept", "stick", found, checked.setup.loaded.text), found
 
@@ -96,7 +101,7 @@ def accepted(place: Path) -> tuple[Path, Baseline]:
 @pytest.fixture(scope="module")
 def full(place: Path) -> Path:
     """A result folder at full rate."""
-    return run(place / "stick.toml", place / "full", Options(full=True)).folder
+    return run(place / "stick.toml", place / "full", RunOptions(full=True)).folder
 
 
 @pytest.fixture
@@ -116,7 +121,7 @@ def altered(full: Path, tmp_path: Path) -> Callable[[Callable[[dict[str, Array]]
     return change
 
 
-def failed(found: Comparison) -> set[str]:
+def failed(found: RunComparison) -> set[str]:
     return {each.name for each in found.signals if not each.passed}
 
 
@@ -235,7 +240,7 @@ def test_an_event_that_is_late_by_more_than_was_measured_fails(
 
 
 def test_a_percent_in_a_parameter_is_seen(accepted: tuple[Path, Baseline], place: Path) -> None:
-    other = Options(overrides=["plant.parameters.coulomb.Fc=0.01616 N.m"])
+    other = RunOptions(overrides=["plant.parameters.coulomb.Fc=0.01616 N.m"])
     found = compare_folders(accepted[0], run(place / "stick.toml", place / "percent", other).folder)
     assert not found.passed
     assert {"theta", "v", "u"} <= failed(found)
@@ -251,7 +256,7 @@ def test_another_duration_and_another_rate_are_said_in_one_line(
         ("step=2 ms", "the communication step is 0.001 s in A and 0.002 s in B"),
     ):
         folder = run(
-            place / "stick.toml", place / key.partition("=")[0], Options(overrides=[key])
+            place / "stick.toml", place / key.partition("=")[0], RunOptions(overrides=[key])
         ).folder
         found = compare_folders(accepted[0], folder)
         assert not found.passed
@@ -368,9 +373,9 @@ def test_the_report_shows_each_signal_and_the_numbers(
     assert {row["name"] for row in tree["signals"] if not row["pass"]} == {"u", "v"}
 
 
-def a_comparison(courses: dict[str, SignalCourse], units: dict[str, str]) -> Comparison:
+def a_comparison(courses: dict[str, SignalCourse], units: dict[str, str]) -> RunComparison:
     signals = tuple(judge_signal(name, course) for name, course in courses.items())
-    return Comparison(
+    return RunComparison(
         "A", "B", "case", 9000, 9000, (), signals, (), (), courses, ({}, {}), units=units
     )
 
@@ -596,7 +601,7 @@ def test_a_run_that_ends_early_is_no_reference(
     )
     early = run(tmp_path / "case.toml", tmp_path / "early").folder
     whole = run(
-        tmp_path / "case.toml", tmp_path / "whole", Options(overrides=["duration=0.3 s"])
+        tmp_path / "case.toml", tmp_path / "whole", RunOptions(overrides=["duration=0.3 s"])
     ).folder
     assert compare_folders(early, early).passed  # up to where both ended
     assert "A lasts 0.3 s, B 0.5 s; B ended early: " in compare_folders(whole, early).refused[0]

@@ -49,9 +49,7 @@ def test_an_event_may_move_in_time_by_what_was_measured_and_not_in_value() -> No
     assert not inside(tube, jump(5.0, 1.01))
 
 
-def test_a_run_without_a_number_allows_anything_there_and_a_reference_without_one_nothing_wider() -> (
-    None
-):
+def test_no_number_in_a_run_allows_anything_there_and_none_in_the_reference_nothing_wider() -> None:
     x = np.sin(TIME)
     tube = tube_of(x, np.where(TIME > 9, np.nan, x))
     assert not np.isfinite(tube.upper[-1])

@@ -14,7 +14,7 @@ import pytest
 from bristle.fmus.calls import CONTROL_SIZE
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim import compiled as compiled_loop
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.compiled import HUGE
 from bristle.harness.cosim.drive import Drive
 from bristle.harness.cosim.isolate import simulate_isolated
@@ -107,7 +107,7 @@ def test_a_bus_is_jacobi(tiny_fmu: Maker) -> None:
     order.
     """
     fmu = Fmu(tiny_fmu(), foreign=True)
-    units = (Instance("a", fmu, {"gain": 1.0}), Instance("b", fmu, {"gain": 3.0}))
+    units = (BusUnit("a", fmu, {"gain": 1.0}), BusUnit("b", fmu, {"gain": 3.0}))
     links = ((("a", "v"), ("b", "u")), (("b", "v"), ("a", "u")))
     bus = Bus(units, 200, 1e-3, links=links, events=(), record=(("a", "v"), ("b", "v")), series={})
     kicked = dataclasses.replace(
@@ -145,7 +145,7 @@ def test_progress_and_stop(
 
 def test_a_unit_that_fails_ends_the_run_with_its_name_and_time(tiny_fmu: Maker) -> None:
     bus = Bus(
-        (Instance("plant", Fmu(tiny_fmu("error"), foreign=True)),),
+        (BusUnit("plant", Fmu(tiny_fmu("error"), foreign=True)),),
         900,
         1e-3,
         record=(("plant", "v"),),
@@ -158,7 +158,7 @@ def test_a_unit_that_fails_ends_the_run_with_its_name_and_time(tiny_fmu: Maker) 
 
 
 def test_a_huge_estimate_ends_the_run(tiny_fmu: Maker) -> None:
-    unit = Instance("observer", Fmu(tiny_fmu(), foreign=True))
+    unit = BusUnit("observer", Fmu(tiny_fmu(), foreign=True))
     events = ((0, ("observer", "u"), 0.0), (300, ("observer", "u"), 1e13))
     bus = Bus((unit,), 900, 1e-3, events=events, record=(("observer", "v"),), watch=("observer",))
     for engine in ("native", "fmpy"):
@@ -172,7 +172,7 @@ def test_a_huge_estimate_ends_the_run(tiny_fmu: Maker) -> None:
 def test_recorded_inputs_reach_the_unit_at_their_step(tiny_fmu: Maker) -> None:
     u = np.random.default_rng(1).normal(size=50)
     bus = Bus(
-        (Instance("p", Fmu(tiny_fmu(), foreign=True)),),
+        (BusUnit("p", Fmu(tiny_fmu(), foreign=True)),),
         50,
         1e-3,
         series={("p", "u"): u},
@@ -197,7 +197,7 @@ def test_drive_equals_a_run_and_starts_afresh_for_each_set() -> None:
     assert not np.array_equal(out[0], out[1])
     values = {"b": 0.004, "modified.c": 80.0}
     bus = Bus(
-        (Instance("p", fmu, values),),
+        (BusUnit("p", fmu, values),),
         400,
         1e-3,
         series={("p", "u"): u},
@@ -219,7 +219,7 @@ def test_drive_gives_nan_for_what_fails(tiny_fmu: Maker) -> None:
 
 def foreign_bus(path: Path) -> Bus:
     return Bus(
-        (Instance("plant", Fmu(path, foreign=True)),),
+        (BusUnit("plant", Fmu(path, foreign=True)),),
         900,
         1e-3,
         events=((0, ("plant", "u"), 1.0),),

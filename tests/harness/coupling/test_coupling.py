@@ -10,7 +10,7 @@ from bristle.common.errors import BristleError
 from bristle.harness.cosim.bus import Failure
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.coupling.coupling import APPLIED, ORDERS, coupled, coupling, delay
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import build_and_check
 
 MONOLITHIC = ORDERS[0]
@@ -70,7 +70,7 @@ def test_both_loops_give_the_same_digits(scenario, tmp_path, order):
 
 
 def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path):
-    found = coupling(scenario, tmp_path / "out", Options())
+    found = coupling(scenario, tmp_path / "out", RunOptions())
     whole, half, quarter, monolithic, controller_first, plant_first = found.schemes
     for name in ("plant.v", "plant.u"):
         assert found.orders[name] == pytest.approx(1.0, abs=0.02)
@@ -97,7 +97,7 @@ def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path)
 
 
 def test_a_check_that_fails_in_a_coupling_is_its_verdict(scenario, tmp_path):
-    options = Options(overrides=("checks.0.max=0",))
+    options = RunOptions(overrides=("checks.0.max=0",))
     assert {each.verdict for each in coupling(scenario, tmp_path / "out", options).schemes} == {
         "fail"
     }
@@ -113,7 +113,7 @@ def test_no_order_is_said_where_a_run_with_one_of_the_steps_ends_early(
         return replace(trace, failure=Failure("plant", 0.1, "it diverged")) if parts == 2 else trace
 
     monkeypatch.setattr("bristle.harness.coupling.coupling.coupled", halved_fails)
-    found = coupling(scenario, tmp_path / "out", Options())
+    found = coupling(scenario, tmp_path / "out", RunOptions())
     assert len(found.schemes) == 5
     assert found.orders == {}
     assert "it is left out" in found.notes[0]

@@ -95,10 +95,13 @@ def test_another_fmu_fails_the_experiments_of_this_one(made, tmp_path):
 
 # -- files of others -------------------------------------------------------------------------------
 TIMES = 'startTime="0" stopTime="0.4" stepSize="0.01"'
-FILE = """<Experiments name="all"><Experiment name="one" {old}>{new}<Parameters source="set%201.ssv"/>
+FILE = """<Experiments name="all"><Experiment name="one" {old}>{new}
+<Parameters source="set%201.ssv"/>
 <Stimuli source="sub/in.csv"/><References source="ref.csv"/></Experiment></Experiments>"""
-SET = """<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0" name="x">
-<ssv:Parameters><ssv:Parameter name="gain"><ssv:Real value="5"/></ssv:Parameter></ssv:Parameters></ssv:ParameterSet>"""
+SET = """<ssv:ParameterSet version="1.0" name="x"
+xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues">
+<ssv:Parameters><ssv:Parameter name="gain"><ssv:Real value="5"/></ssv:Parameter></ssv:Parameters>
+</ssv:ParameterSet>"""
 
 
 def exact(time, gain=5.0):

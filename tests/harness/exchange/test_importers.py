@@ -51,7 +51,10 @@ run = CosimExecution.from_step_size(1_000_000)
 text = lambda each: each.decode() if isinstance(each, bytes) else each
 slaves = {name: CosimLocalSlave(file, name) for name, file in FILES.items()}
 unit = {name: run.add_local_slave(slave) for name, slave in slaves.items()}
-place = {f"{name}.{text(v.name)}": (i, v.reference) for name, i in unit.items() for v in run.slave_variables(i)}
+place = {}
+for name, i in unit.items():
+    for v in run.slave_variables(i):
+        place[f"{name}.{text(v.name)}"] = (i, v.reference)
 for name, value in VALUES.items():
     give = run.integer_initial_value if isinstance(value, int) else run.real_initial_value
     give(*place[name], value)

@@ -14,15 +14,16 @@ from lxml import etree
 from bristle.common.errors import BristleError
 from bristle.fmus import obtain
 from bristle.harness.exchange.experiment import repeat
-from bristle.harness.exchange.kit import REFERENCE_SIGNALS, export, replay
+from bristle.harness.exchange.kit import REFERENCE_SIGNALS, export
+from bristle.harness.exchange.kit_replay import replay
 from bristle.harness.exchange.ssp import (
     CSV_TYPE,
     Component,
-    Package,
+    SystemPackage,
     SystemStructure,
     package_files,
 )
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 
 SCENARIO = """
@@ -63,7 +64,7 @@ def table(text):
 
 def test_what_is_exported_is_the_run_of_the_scenario(kit):
     reference = table((kit / "out" / "reference" / "signals.csv").read_text(encoding="utf-8"))
-    done = run(kit / "axis.toml", kit / "run", Options(full=True))
+    done = run(kit / "axis.toml", kit / "run", RunOptions(full=True))
     signals = table((done.folder / "signals.csv").read_text(encoding="utf-8"))
     for name, own in (
         ("plant.theta_enc", None),
@@ -89,7 +90,7 @@ def test_what_is_exported_is_the_run_of_the_scenario(kit):
 
 def test_the_files_are_valid_by_the_schemas_of_the_standard(kit):
     schemas = files("fmpy") / "ssp" / "schema"
-    package = Package(kit / "out" / "axis.ssp")
+    package = SystemPackage(kit / "out" / "axis.ssp")
     for name, schema in (
         ("SystemStructure.ssd", "Description"),
         ("resources/plant.ssv", "ParameterValues"),
@@ -111,7 +112,7 @@ def test_the_fmus_have_the_parameters_of_the_scenario_as_start_values(kit):
     assert (float(starts["J"]), float(starts["lugre.Fc"])) == (0.0012, 0.003)
     assert "cogging.amplitude" in starts
     assert not any(name.startswith("gms.") for name in starts)  # of the one law alone
-    package = Package(kit / "out" / "axis.ssp")
+    package = SystemPackage(kit / "out" / "axis.ssp")
     plant = next(each for each in package.system.components if each.name == "plant")
     assert plant.values["J"] == 0.0012
     assert (package.system.step, package.system.stop) == (1e-3, 2.0)
@@ -186,7 +187,7 @@ def test_noise_is_exported_as_a_table(tmp_path):
     )
     (tmp_path / "rough.toml").write_text(text, encoding="utf-8")
     package = export(tmp_path / "rough.toml", tmp_path / "out")
-    assert "resources/stimuli.csv" in Package(package).names
+    assert "resources/stimuli.csv" in SystemPackage(package).names
     assert replay(package, tmp_path / "again").passed
 
 
@@ -301,8 +302,12 @@ run = CosimExecution.from_ssp_file(ssp_path=PACKAGE, step_size=1_000_000)
 seen = CosimObserver.create_last_value()
 run.add_observer(seen)
 text = lambda each: each.decode() if isinstance(each, bytes) else each
-unit = {name: run.slave_index_from_instance_name(name) for name in {name.partition(".")[0] for name in NAMES}}
-place = {f"{name}.{text(v.name)}": (i, v.reference) for name, i in unit.items() for v in run.slave_variables(i)}
+parts = {name.partition(".")[0] for name in NAMES}
+unit = {name: run.slave_index_from_instance_name(name) for name in parts}
+place = {}
+for name, i in unit.items():
+    for v in run.slave_variables(i):
+        place[f"{name}.{text(v.name)}"] = (i, v.reference)
 for k in range(0, STEPS + 1, STRIDE):
     if k:
         run.step(STRIDE)

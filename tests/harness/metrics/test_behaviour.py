@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.harness.metrics.behaviour import Motion, behaviour
+from bristle.harness.metrics.behaviour import PlantMotion, behaviour
 from bristle.harness.metrics.checks import CHECK_QUANTITIES
 
 H = 1e-3
 TIME = np.arange(0, 20, H)
 
 
-def motion(v: np.ndarray, **signals: np.ndarray) -> Motion:
-    return Motion(H, {"v": v, "theta": np.cumsum(v) * H, **signals}, None, None)
+def motion(v: np.ndarray, **signals: np.ndarray) -> PlantMotion:
+    return PlantMotion(H, {"v": v, "theta": np.cumsum(v) * H, **signals}, None, None)
 
 
 def test_every_number_is_one_that_a_check_may_demand() -> None:
@@ -61,7 +61,7 @@ def test_the_energy_of_a_viscous_servo_is_balanced_and_a_wrong_inertia_is_seen()
         end = gain * u[k] / viscous
         v[k + 1] = end + (v[k] - end) * decay
     theta = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * H)])
-    whole = Motion(H, {"v": v, "theta": theta, "u": u, "F": viscous * v}, inertia, gain)
+    whole = PlantMotion(H, {"v": v, "theta": theta, "u": u, "F": viscous * v}, inertia, gain)
     found = behaviour(whole)
     assert abs(found["energy_residual_percent"].value or 1.0) < 1e-3
     assert (found["drive_work"].value or 0.0) > 0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bristle.common.output import plain
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Port, Readings, Trace
+from bristle.harness.cosim.bus import BusTrace, Port, Readings
 from bristle.harness.metrics import checks
 from bristle.harness.metrics import estimates as metrics
 from bristle.harness.metrics.estimates import Course
@@ -137,7 +137,7 @@ def test_an_estimate_that_is_never_valid_is_listed_and_one_that_a_method_does_no
         ("observer", "c_valid"): 0.0,
         ("observer", "Fc_valid"): 1.0,
     }
-    found = metrics.courses(Trace(record, values, 1.0, readings(flags)), {"c": "1/rad"})
+    found = metrics.courses(BusTrace(record, values, 1.0, readings(flags)), {"c": "1/rad"})
     assert [(name, course.unit, course.valid[-1]) for name, course in found.items()] == [
         ("c", "1/rad", 0.0),
         ("Fc", "1", 1.0),
@@ -153,7 +153,9 @@ def test_an_estimate_that_stays_0_is_listed_if_it_has_a_standard_deviation() -> 
     )
     values = np.column_stack([np.zeros((5, 2)), np.full(5, 1e9), np.zeros(5)])
     found = metrics.courses(
-        Trace(record, values, 1.0, readings({("observer", f"{name}_valid"): 0.0 for name in "bc"})),
+        BusTrace(
+            record, values, 1.0, readings({("observer", f"{name}_valid"): 0.0 for name in "bc"})
+        ),
         {},
     )
     assert list(found) == ["b"]
@@ -162,12 +164,12 @@ def test_an_estimate_that_stays_0_is_listed_if_it_has_a_standard_deviation() -> 
 def test_a_state_that_the_observer_does_not_estimate_has_no_error() -> None:
     port, said = ("observer", "w_hat"), ("observer", "w_hat_valid")
     for known, expected in ((1.0, {"w"}), (0.0, set())):
-        trace = Trace((port,), np.zeros((5, 1)), 1.0, readings({said: known}))
+        trace = BusTrace((port,), np.zeros((5, 1)), 1.0, readings({said: known}))
         assert set(metrics.state_errors(trace, {"w": np.ones(5)}, {})) == expected
     # another's FMU, without the flag
-    assert metrics.estimates_state(Trace((port,), np.zeros((5, 1)), 1.0, readings({})), "w")
+    assert metrics.estimates_state(BusTrace((port,), np.zeros((5, 1)), 1.0, readings({})), "w")
     assert not metrics.estimates_state(
-        Trace((port,), np.full((5, 1), np.nan), 1.0, readings({})), "w"
+        BusTrace((port,), np.full((5, 1), np.nan), 1.0, readings({})), "w"
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.cosim.bus import Bus, Instance
+from bristle.harness.cosim.bus import Bus, BusUnit
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.metrics.fit import Data, LeanModel, fit, regression, starts
 from bristle.harness.metrics.validation import (
@@ -40,7 +40,7 @@ def voltage(seed: int, n: int = 5000) -> np.ndarray:
 def record(law: str, values: dict[str, float], seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     u = voltage(seed)
     bus = Bus(
-        (Instance("p", Fmu(obtain("plant", law=law)), values),),
+        (BusUnit("p", Fmu(obtain("plant", law=law)), values),),
         len(u) - 1,
         H,
         series={("p", "u"): u[:-1]},
@@ -69,7 +69,7 @@ def test_a_record_of_position_is_fitted_by_its_increments() -> None:
     """
     values = {"b": 0.0065, "a2": 0.002, "coulomb.Fc": 0.004}
     u = voltage(1)
-    unit = Instance("p", Fmu(obtain("plant", law="coulomb")), values)
+    unit = BusUnit("p", Fmu(obtain("plant", law="coulomb")), values)
     v_enc = simulate(
         Bus((unit,), len(u) - 1, H, series={("p", "u"): u[:-1]}, record=(("p", "v_enc"),))
     )["p", "v_enc"]

@@ -15,7 +15,7 @@ from bristle.fmus.host import Fmu
 from bristle.harness.cosim.loop import simulate
 from bristle.harness.metrics.checks import CHECK_QUANTITIES
 from bristle.harness.metrics.tracking import TRACKING_SHARE, tracking
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import identification, prepare, uncompensated
@@ -38,10 +38,10 @@ def test_a_scenario_is_compared_with_the_controller_alone(
     and the check can fail.
     """
     path = scenario_file(base.replace("[[checks]]", SLOW) + BETTER)
-    options = Options(full=True, overrides=["duration=20 s", *COMPENSATED])
+    options = RunOptions(full=True, overrides=["duration=20 s", *COMPENSATED])
     done = run(path, tmp_path / "out", options)
     other = ["duration=20 s", *COMPENSATED[1:], "checks.1.quantity=steps", "checks.1.max=1e9"]
-    plain = run(path, tmp_path / "plain", Options(full=True, overrides=other))
+    plain = run(path, tmp_path / "plain", RunOptions(full=True, overrides=other))
     rms = {}
     for name, each in (("rms", done), ("rms_without", plain)):
         names = (each.folder / "signals.csv").read_text().partition("\n")[0].split(",")
@@ -121,5 +121,5 @@ def test_the_shipped_scenario_passes_and_can_fail(tmp_path: Path) -> None:
     path = Path(__file__).parents[3] / "scenarios" / "compensation.toml"
     assert run(path, tmp_path / "good").passed
     assert not run(
-        path, tmp_path / "bad", Options(overrides=["controller.parameters.fade=1000 s"])
+        path, tmp_path / "bad", RunOptions(overrides=["controller.parameters.fade=1000 s"])
     ).passed

@@ -16,11 +16,12 @@ import pytest
 
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.harness.paper.cases import friction_curve, scenario_path, stiffer
+from bristle.harness.metrics.friction_curve import friction_curve
+from bristle.harness.paper.cases import scenario_path, stiffer
 from bristle.harness.paper.printed_numbers import FIGURES, PRINTED
 from bristle.harness.paper.reproduce import REPRODUCE_FILES, reproduce
 from bristle.harness.paper.schemes import GAINS, SCHEMES, TEST_PLANTS
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 
 SHORT = 0.01  # share of the paper's durations in the quick tests
@@ -70,7 +71,7 @@ def test_the_numbers_are_those_of_the_scenarios(
         for each in content["runs"]
         if (each["scheme"], each["plant"], each["order"]) == ("repaired", "S", 1)
     ]
-    done = run(scenario_path("repaired", "S"), tmp_path, Options(overrides=entry["overrides"]))
+    done = run(scenario_path("repaired", "S"), tmp_path, RunOptions(overrides=entry["overrides"]))
     assert done.result["duration_s"] == pytest.approx(3.0)
     found = content["estimates"]["S"]["repaired"]
     assert {name: e["final"] for name, e in found.items() if e["valid"]} == {

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 from bristle.harness.scenario.parts import Kind, build_fmus
 from bristle.harness.scenario.plan import identification, prepare
@@ -78,7 +78,7 @@ def test_a_bias_is_the_load_that_an_observer_should_find(
     base: str, scenario_file: Maker, tmp_path: Path
 ) -> None:
     text = with_effects(base, "bias", parameters='bias.torque = "0.4 mN.m"').replace("2 s", "20 s")
-    done = run(scenario_file(text), tmp_path, Options())
+    done = run(scenario_file(text), tmp_path, RunOptions())
     load = done.result["estimates"]["load"]
     assert load["true"] == pytest.approx(0.4e-3 / 1e-3)
     assert load["valid"]
@@ -125,7 +125,7 @@ def test_a_parameter_without_a_true_value_has_no_error(
     base: str, scenario_file: Maker, tmp_path: Path
 ) -> None:
     path = scenario_file(with_effects(base, "friction_drift").replace("2 s", "6 s"))
-    estimates = run(path, tmp_path / "out", Options()).result["estimates"]
+    estimates = run(path, tmp_path / "out", RunOptions()).result["estimates"]
     assert estimates["alpha2"]["true"] == 2.0
     assert estimates["alpha2"]["error_percent"] is not None
     assert estimates["Fc"]["final"] is not None

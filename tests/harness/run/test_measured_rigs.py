@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bristle.harness.run.run import Run, run
+from bristle.harness.run.run import FinishedRun, run
 
 _PATH = Path(__file__).parents[3] / "benchmarks" / "measured" / "measured_data.py"
 _spec = importlib.util.spec_from_file_location("measured", _PATH)
@@ -39,7 +39,7 @@ def data() -> ModuleType:
 
 def observed(
     folder: Path, entry: tuple[str, Any, Any, Any, Any], rig: tuple[str, str, str], method: str
-) -> Run:
+) -> FinishedRun:
     """Run a method on a measured record; `rig` are kind and unit of the input, and unit of the
     position.
     """
@@ -59,7 +59,7 @@ method = "{method}"
     return run(path, folder / "out")
 
 
-def must_be_possible(done: Run) -> None:
+def must_be_possible(done: FinishedRun) -> None:
     """No estimate that is called valid is one that no servo has, and without valid ones the verdict
     is fail.
     """

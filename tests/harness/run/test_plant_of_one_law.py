@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bristle.fmus import obtain
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 from bristle.harness.scenario.catalogue import find_scenario
 from bristle.plant.friction import laws
@@ -24,7 +24,7 @@ LAW, INERTIA = 'law = "modified"', 'J = "0.001 kg.m2"'
 
 def outcome(path: Path, out: Path, fmi: int = 2) -> tuple[str, dict[str, Any]]:
     """Return signals.csv at full rate, and the numbers of result.json."""
-    assert run(path, out, Options(fmi=fmi, full=True)).passed
+    assert run(path, out, RunOptions(fmi=fmi, full=True)).passed
     folder = out / path.stem
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     kept = ("verdict", "steps", "estimates", "states", "checks")

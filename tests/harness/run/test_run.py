@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from bristle.harness.metrics import checks
-from bristle.harness.run.checked import Options
-from bristle.harness.run.run import Run, run
+from bristle.harness.run.checked import RunOptions
+from bristle.harness.run.run import FinishedRun, run
 
 Maker = Callable[..., Path]
 pytestmark = pytest.mark.usefixtures("no_leftovers")
@@ -43,7 +43,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     folder = tmp_path_factory.mktemp("whole")
     path = folder / "whole.toml"
     path.write_text("""
@@ -74,7 +74,7 @@ max = 50
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> None:
+def test_every_number_that_a_check_may_demand_is_documented(finished: FinishedRun) -> None:
     """The numbers of result.json, with names of parameters, states and fitted models generalised,
     are those of the table.
     """
@@ -120,11 +120,11 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
         ("nothing", "1"),
     ],
 )
-def test_the_unit_of_a_check_is_known(finished: Run, path: str, unit: str) -> None:
+def test_the_unit_of_a_check_is_known(finished: FinishedRun, path: str, unit: str) -> None:
     assert checks.check_unit(finished.result, path) == unit
 
 
-def test_result_json_keeps_the_contract(finished: Run) -> None:
+def test_result_json_keeps_the_contract(finished: FinishedRun) -> None:
     result = json.loads((finished.folder / "result.json").read_text())
     assert result["scenario"] == "whole"
     assert result["verdict"] == "pass"
@@ -163,7 +163,7 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
 def test_provenance_repeats_the_run(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path, overrides = scenario_file(base), ["plant.parameters.J=0.002 kg.m2", "duration=1 s"]
     before = datetime.now(UTC).replace(microsecond=0)
-    found = run(path, tmp_path / "out", Options(seed=4, overrides=overrides, fmi=3)).result[
+    found = run(path, tmp_path / "out", RunOptions(seed=4, overrides=overrides, fmi=3)).result[
         "provenance"
     ]
     assert before <= datetime.fromisoformat(found["date"]) <= datetime.now(UTC)
@@ -183,7 +183,7 @@ def test_a_relative_command_repeats_the_run_from_its_folder(
 ) -> None:
     path = scenario_file(base)
     monkeypatch.chdir(path.parent)
-    done = run(Path(path.name), Path("out"), Options(overrides=["duration=1 s"]))
+    done = run(Path(path.name), Path("out"), RunOptions(overrides=["duration=1 s"]))
     found = done.result["provenance"]
     words = shlex.split(found["command"])
     assert Path(found["folder"], words[2]) == path
@@ -191,7 +191,7 @@ def test_a_relative_command_repeats_the_run_from_its_folder(
     assert path.parent.name in (done.folder / "report.html").read_text()
 
 
-def test_the_truth_grows_with_the_load(finished: Run) -> None:
+def test_the_truth_grows_with_the_load(finished: FinishedRun) -> None:
     estimates = finished.result["estimates"]
     assert estimates["Fc"]["true"] == pytest.approx(4.0 * 1.02)
     assert estimates["alpha2"]["true"] == pytest.approx(2.0)
@@ -205,7 +205,7 @@ def test_state_errors_pair_an_estimate_with_the_sample_before(
     moves in a sample.
     """
     done = run(
-        scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=20 s"])
+        scenario_file(base), tmp_path / "out", RunOptions(full=True, overrides=["duration=20 s"])
     )
     names = (done.folder / "signals.csv").read_text().partition("\n")[0].split(",")
     table = np.loadtxt(done.folder / "signals.csv", delimiter=",", skiprows=1)
@@ -215,7 +215,7 @@ def test_state_errors_pair_an_estimate_with_the_sample_before(
     assert error < 0.2 * np.sqrt(np.mean((v_hat - v)[-2000:] ** 2))
 
 
-def test_signals_csv_is_numbers_under_names(finished: Run) -> None:
+def test_signals_csv_is_numbers_under_names(finished: FinishedRun) -> None:
     lines = (finished.folder / "signals.csv").read_text().splitlines()
     names = lines[0].split(",")
     assert names[0] == "time"
@@ -227,7 +227,7 @@ def test_signals_csv_is_numbers_under_names(finished: Run) -> None:
     assert (load[table[:, 0] < 4].max(), load[table[:, 0] >= 4].min()) == (1.0, 1.02)
 
 
-def test_report_is_one_self_contained_file(finished: Run) -> None:
+def test_report_is_one_self_contained_file(finished: FinishedRun) -> None:
     text = (finished.folder / "report.html").read_text()
     page = Page(text)
     assert page.loads
@@ -258,13 +258,13 @@ def test_report_is_one_self_contained_file(finished: Run) -> None:
         assert (finished.folder / f"{name}.svg").read_text().startswith("<svg")
 
 
-def test_the_report_takes_little_time(finished: Run) -> None:
+def test_the_report_takes_little_time(finished: FinishedRun) -> None:
     assert finished.result["timing"]["report"] < 5.0  # 1 s on a quiet machine
 
 
 def test_full_rate_on_request(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     done = run(
-        scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=3 s"])
+        scenario_file(base), tmp_path / "out", RunOptions(full=True, overrides=["duration=3 s"])
     )
     assert len((done.folder / "signals.csv").read_text().splitlines()) == 3002
 
@@ -275,7 +275,7 @@ def test_a_seed_changes_the_reference_and_nothing_else_does(
 ) -> None:
     path = scenario_file(base)
     texts = [
-        (run(path, tmp_path / "out", Options(seed=seed)).folder / "signals.csv").read_text()
+        (run(path, tmp_path / "out", RunOptions(seed=seed)).folder / "signals.csv").read_text()
         for seed in (1, 1, 2)
     ]
     assert texts[0] == texts[1]
@@ -303,7 +303,7 @@ def test_an_observer_that_diverges_fails_with_the_time(
 @pytest.mark.usefixtures("undrawn")
 def test_a_missing_quantity_fails(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path = scenario_file(base.replace("estimates.b.", "estimates.Fc."))
-    done = run(path, tmp_path / "out", Options(overrides=["plant.law=viscous"]))
+    done = run(path, tmp_path / "out", RunOptions(overrides=["plant.law=viscous"]))
     assert not done.passed
     assert math.isnan(done.result["checks"][0]["value"])
 
@@ -332,6 +332,6 @@ def test_a_foreign_plant_takes_part(
 def test_a_plant_without_friction_has_no_friction_truth(
     base: str, scenario_file: Maker, tmp_path: Path
 ) -> None:
-    done = run(scenario_file(base), tmp_path / "out", Options(overrides=["plant.law=viscous"]))
+    done = run(scenario_file(base), tmp_path / "out", RunOptions(overrides=["plant.law=viscous"]))
     assert done.result["estimates"]["Fc"]["true"] is None
     assert done.result["estimates"]["b"]["true"] == pytest.approx(6.5)

@@ -14,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from bristle.common.units import parse_unit
-from bristle.harness.run.checked import Options
-from bristle.harness.run.run import Run, run
+from bristle.harness.run.checked import RunOptions
+from bristle.harness.run.run import FinishedRun, run
 from bristle.harness.scenario.parts import build_fmus
-from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.scenario.plan import RunSetup, identification, prepare
 from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.rig import NORMAL_INPUT, NORMAL_SPEED, Rig, normalising
 from bristle.model.normalised import OBSERVED
@@ -81,7 +81,7 @@ def tables(
     )
 
 
-def prepared(path: Path) -> Setup:
+def prepared(path: Path) -> RunSetup:
     loaded = load(path)
     return prepare(loaded, build_fmus(loaded))
 
@@ -162,7 +162,9 @@ def test_a_record_at_rest_is_not_scaled() -> None:
     assert (rig.angle, rig.voltage) == (1.0, 1.0)
 
 
-def same_answers(one: Run, other: Run, position: float = 1.0, drive: float = 1.0) -> None:
+def same_answers(
+    one: FinishedRun, other: FinishedRun, position: float = 1.0, drive: float = 1.0
+) -> None:
     """Compare all estimates; the other record has the numbers of position and input times these
     factors.
     """
@@ -216,7 +218,7 @@ def test_estimates_signals_and_csv_are_in_the_units_of_the_rig(
     done = run(
         scenario(tmp_path, axis, tables(method="self_starting_ekf")),
         tmp_path / "out",
-        Options(full=True),
+        RunOptions(full=True),
     )
     assert {
         name: done.result["estimates"][name]["unit"] for name in ("b", "c", "Fc", "alpha2")
@@ -324,7 +326,7 @@ def test_the_last_sample_counts(axis: dict[str, Array], tmp_path: Path) -> None:
         run(
             scenario(tmp_path, {**axis, "y": y}, tables(), name),
             tmp_path / "out",
-            Options(full=True),
+            RunOptions(full=True),
         )
         for name, y in (("steady", axis["y"]), ("jumped", jump))
     )

@@ -146,6 +146,19 @@ def replaced(values: np.ndarray, index: int | slice, value: float) -> np.ndarray
     return out
 
 
+HEAD = "t,volt,pos,speed\n"
+NO_MAT = (
+    "not a mat file at all, only some words that are long enough to look at, and then some more of"
+    " them here, and more"
+)
+BROKEN = {  # content of a file, and what its error says
+    "broken.mat": (NO_MAT, "cannot be read"),
+    "ragged.csv": (f"{HEAD}0,1,2,3\n0.1,1,2\n0.2,1,2,3\n", "line 3 has 3 values"),
+    "words.csv": (f"{HEAD}0,1,2,fast\n0.1,1,2,slow\n", "fast"),
+    "short.csv": (f"{HEAD}0,1,2,3\n0.1,1,2,3\n", "2 samples; at least 10 are needed"),
+}
+
+
 def test_every_bad_record_is_one_line(
     tmp_path: Path, read: Callable[..., Samples], message: Message
 ) -> None:
@@ -176,23 +189,9 @@ def test_every_bad_record_is_one_line(
         (tmp_path / "nowhere.csv", ["No such file"]),
         (tmp_path / "record.xlsx", ["No such file"]),
     ]
-    broken = tmp_path / "broken.mat"
-    broken.write_bytes(
-        b"not a mat file at all, only some words that are long enough to look at, and then some"
-        b" more of them here, and more"
-    )
-    ragged = tmp_path / "ragged.csv"
-    ragged.write_text("t,volt,pos,speed\n0,1,2,3\n0.1,1,2\n0.2,1,2,3\n")
-    words = tmp_path / "words.csv"
-    words.write_text("t,volt,pos,speed\n0,1,2,fast\n0.1,1,2,slow\n")
-    short = tmp_path / "short.csv"
-    short.write_text("t,volt,pos,speed\n0,1,2,3\n0.1,1,2,3\n")
-    cases += [
-        (broken, ["cannot be read"]),
-        (ragged, ["line 3 has 3 values"]),
-        (words, ["fast"]),
-        (short, ["2 samples; at least 10 are needed"]),
-    ]
+    for name, (text, word) in BROKEN.items():
+        (tmp_path / name).write_text(text)
+        cases.append((tmp_path / name, [word]))
     for path, expected in cases:
         line = message(lambda path=path: read(path.name, POSITION + BESIDES))
         assert line.startswith(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 from bristle.harness.scenario.parts import build_fmus
 from bristle.harness.scenario.plan import identification, prepare, validation
@@ -80,7 +80,7 @@ def test_the_noise_is_what_signals_csv_shows(
             base, OPEN_LOOP, torque('noise = {rms = "2 mN.m", bandwidth = "20 Hz", seed = 4}')
         )
     )
-    folder = run(path, tmp_path / "out", Options(full=True)).folder
+    folder = run(path, tmp_path / "out", RunOptions(full=True)).folder
     table = np.genfromtxt(folder / "signals.csv", delimiter=",", names=True)
     assert len(table) == 2001
     np.testing.assert_allclose(table["v"], driven(table["tau_load"][:-1]), atol=1e-6)
@@ -140,7 +140,7 @@ def test_a_load_that_varies_scales_the_truth(
         ' phase = "90 deg"}\n'
     )
     path = scenario_file(base.replace("2 s", "4 s").replace("[[checks]]", f"{sine}\n[[checks]]", 1))
-    done = run(path, tmp_path / "out", Options())
+    done = run(path, tmp_path / "out", RunOptions())
     true = json.loads((done.folder / "result.json").read_text())["estimates"]["Fc"]["true"]
     steady = json.loads(
         (run(scenario_file(base, "steady"), tmp_path / "out").folder / "result.json").read_text()

@@ -12,7 +12,7 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.harness.scenario.vary import seeds_of, values_of
-from bristle.harness.suite.suite import Case, CaseResult, find_cases, run_suite, summaries
+from bristle.harness.suite.suite import CaseResult, SuiteCase, find_cases, run_suite, summaries
 from bristle.harness.suite.suite_page import failures, junit, render, to_tree, verdict
 
 SCENARIO = """
@@ -138,7 +138,7 @@ def test_values_that_cannot_name_result_folders(tmp_path, values, said):
 
 def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
     runs = [
-        CaseResult(Case(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0)))
+        CaseResult(SuiteCase(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0)))
         for k, v in enumerate((1.0, -3.0, 0.5), 1)
     ]
     largest, smallest = summaries(runs)
@@ -153,7 +153,9 @@ def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
         [
             *runs,
             CaseResult(
-                Case(Path("s.toml"), 4), "fail", (check(None, holds=False), check(0.0, "min", -5.0))
+                SuiteCase(Path("s.toml"), 4),
+                "fail",
+                (check(None, holds=False), check(0.0, "min", -5.0)),
             ),
         ]
     )
@@ -267,8 +269,8 @@ def test_nothing_runs_where_one_scenario_cannot(tmp_path):
 
 
 def test_an_error_of_one_run_is_a_verdict_of_its_own():
-    broken = CaseResult(Case(Path("s.toml")), "error", message="s.toml: the disk is full")
-    assert verdict([broken, CaseResult(Case(Path("t.toml")), "fail")]) == "error"
+    broken = CaseResult(SuiteCase(Path("s.toml")), "error", message="s.toml: the disk is full")
+    assert verdict([broken, CaseResult(SuiteCase(Path("t.toml")), "fail")]) == "error"
     root = ElementTree.fromstring(junit([broken]))
     assert root[0][0][0].tag == "error"
     assert to_tree([broken], {})["runs"][0]["folder"] is None
@@ -276,15 +278,17 @@ def test_an_error_of_one_run_is_a_verdict_of_its_own():
 
 
 def test_runs_without_result_count_where_checks_hold():
-    runs = [CaseResult(Case(Path("s.toml"), k), "pass", (check(1.0),)) for k in (1, 2)]
-    runs.append(CaseResult(Case(Path("s.toml"), 3), "error", message="s.toml: the disk is full"))
+    runs = [CaseResult(SuiteCase(Path("s.toml"), k), "pass", (check(1.0),)) for k in (1, 2)]
+    runs.append(
+        CaseResult(SuiteCase(Path("s.toml"), 3), "error", message="s.toml: the disk is full")
+    )
     [found] = summaries(runs)
     assert (found.passed, found.count, found.worst, found.worst_run) == (2, 3, 1.0, "seed 1")
     page = render(runs, {})
     assert "2 of 3 checks, 1 run without result" in page
     assert 'badge good">2' not in page
     # of which no check is known
-    lost = CaseResult(Case(Path("t.toml")), "error", message="t.toml: the disk is full")
+    lost = CaseResult(SuiteCase(Path("t.toml")), "error", message="t.toml: the disk is full")
     assert 'badge bad">2 of 2 checks, 1 run without result' in render([*runs[:2], lost], {})
 
 

@@ -16,9 +16,9 @@ from bristle.common.errors import BristleError
 from bristle.fmus.calls import CONTROL_SIZE
 from bristle.harness.cosim.bus import Bus
 from bristle.harness.cosim.loop import simulate
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.scenario.parts import build_fmus
-from bristle.harness.scenario.plan import Setup, identification, prepare
+from bristle.harness.scenario.plan import RunSetup, identification, prepare
 from bristle.harness.scenario.reading import load
 from bristle.harness.sweep import lanes as together
 from bristle.harness.sweep.chunk import run_chunk
@@ -44,7 +44,7 @@ frequency = "3 Hz"
 DIVERGES = "observer.parameters.besancon.alpha2=1e6 1/s"
 
 
-def setup_of(path: Path, seed: int, *overrides: str) -> Setup:
+def setup_of(path: Path, seed: int, *overrides: str) -> RunSetup:
     loaded = load(path, overrides, seed)
     return prepare(loaded, build_fmus(loaded))
 
@@ -137,7 +137,7 @@ def test_rows_of_a_sweep_are_the_same_in_lanes(
         "plant.parameters.J=[0.001 kg.m2, 0.002 kg.m2]",
     ]
     asked = design([*varied, "sensor=[clean, encoder]"], seeds=[1, 2])
-    sweep = prepare_sweep(path, asked, Options())
+    sweep = prepare_sweep(path, asked, RunOptions())
     points = list(asked.points())
     first, _, third = points[5].overrides
     points[5] = replace(points[5], overrides=(first, "plant.parameters.J=-1 kg.m2", third))
@@ -160,6 +160,6 @@ def test_rows_of_a_sweep_are_the_same_in_lanes(
 def test_few_runs_are_not_worth_the_programs(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base)
     for runs in (RUNS_WORTH_IT - 1, RUNS_WORTH_IT):
-        assert prepare_sweep(path, design((), seeds=range(1, runs + 1)), Options()).lanes == (
+        assert prepare_sweep(path, design((), seeds=range(1, runs + 1)), RunOptions()).lanes == (
             runs >= RUNS_WORTH_IT
         )

@@ -20,7 +20,7 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus.host import Slave
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import run
 from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.design import Design, design
@@ -29,7 +29,14 @@ from bristle.harness.sweep.ship import packed
 from bristle.harness.sweep.spec import prepare_sweep
 from bristle.harness.sweep.store import Store
 from bristle.harness.sweep.sweep import Summary, run_sweep
-from bristle.harness.sweep.sweep_page import Runs, Share, _places, render, statistics, summary
+from bristle.harness.sweep.sweep_page import (
+    PassingShare,
+    Runs,
+    _places,
+    render,
+    statistics,
+    summary,
+)
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -43,7 +50,7 @@ def path(base: str, scenario_file: Maker) -> Path:
 
 def swept(path: Path, store: Path, asked: Design, **means: Any) -> tuple[Store, Summary]:
     made = Store(store)
-    return made, run_sweep(prepare_sweep(path, asked, Options()), asked, made, Means(**means))
+    return made, run_sweep(prepare_sweep(path, asked, RunOptions()), asked, made, Means(**means))
 
 
 def table(store: Store) -> pa.Table:
@@ -65,7 +72,7 @@ def test_a_row_has_the_numbers_of_the_run_alone_and_its_command(path: Path, tmp_
         alone = run(
             path,
             tmp_path / "alone",
-            Options(overrides=overrides, seed=int(words[words.index("--seed") + 1])),
+            RunOptions(overrides=overrides, seed=int(words[words.index("--seed") + 1])),
         ).result
         assert each["verdict"] == alone["verdict"]
         assert each["steps"] == 2000
@@ -96,7 +103,7 @@ def test_fmus_are_loaded_once_a_chunk(path: Path, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(Slave, "_load", counted)
     asked = design(VARY, samples=5)
-    assert len(run_chunk(prepare_sweep(path, asked, Options()), list(asked.points()))) == 10
+    assert len(run_chunk(prepare_sweep(path, asked, RunOptions()), list(asked.points()))) == 10
     assert sorted(loads) == ["controller", "observer", "plant"]
 
 
@@ -239,14 +246,14 @@ import os, signal, threading, time
 from pathlib import Path
 from distributed import LocalCluster
 from bristle.harness.sweep.design import design
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.sweep.executor import Means
 from bristle.harness.sweep.spec import prepare_sweep
 from bristle.harness.sweep.store import Store
 from bristle.harness.sweep.sweep import run_sweep
 if __name__ == "__main__":
     asked = design({VARY!r}, samples=32)
-    sweep = prepare_sweep(Path({str(path)!r}), asked, Options(overrides=("duration=8 s",)))
+    sweep = prepare_sweep(Path({str(path)!r}), asked, RunOptions(overrides=("duration=8 s",)))
     run_sweep(sweep, asked, Store(Path({str(tmp_path / "local")!r})), Means(2))
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         store = Store(Path({str(tmp_path / "cluster")!r}))
@@ -287,7 +294,7 @@ def test_a_worker_of_dask_keeps_memory_from_run_to_run(path: Path) -> None:
 import resource
 from pathlib import Path
 from bristle.harness.sweep.design import design
-from bristle.harness.run.checked import Options
+from bristle.harness.run.checked import RunOptions
 from bristle.harness.sweep.chunk import run_chunk
 from bristle.harness.sweep.ship import packed
 from bristle.harness.sweep.spec import prepare_sweep
@@ -298,7 +305,7 @@ def faults(sweep):
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 asked = design({VARY!r}, samples=2)
 points = list(asked.points())
-sweep = prepare_sweep(Path({str(path)!r}), asked, Options(overrides=("duration=20 s",)))
+sweep = prepare_sweep(Path({str(path)!r}), asked, RunOptions(overrides=("duration=20 s",)))
 print(faults(sweep), faults(packed(sweep)))
 """
     environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
@@ -313,7 +320,7 @@ def test_a_worker_reads_the_fmus_of_a_sweep_once(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = design(VARY, samples=2)
-    shipped, points = packed(prepare_sweep(path, asked, Options())), list(asked.points())
+    shipped, points = packed(prepare_sweep(path, asked, RunOptions())), list(asked.points())
     expected = run_chunk(shipped, points[:2])
     monkeypatch.setattr("bristle.harness.sweep.ship.Fmu", None)  # what reads one again fails
     again = run_chunk(shipped, points[:2])
@@ -328,10 +335,10 @@ def test_the_share_of_passing_runs_has_its_interval() -> None:
     """Clopper and Pearson's interval for 0 of n is 0 to 1 - (alpha / 2)^(1 / n); for k of n it is
     symmetric to n - k of n.
     """
-    low, high = Share(0, 20).interval
+    low, high = PassingShare(0, 20).interval
     assert (low, high) == (0.0, pytest.approx(1 - 0.025 ** (1 / 20)))
-    low, high = Share(6, 20).interval
-    assert (1 - high, 1 - low) == pytest.approx(Share(14, 20).interval)
+    low, high = PassingShare(6, 20).interval
+    assert (1 - high, 1 - low) == pytest.approx(PassingShare(14, 20).interval)
 
 
 def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
@@ -457,7 +464,9 @@ def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
     from bristle.harness.sweep.chunk import Watcher
 
     asked = design(VARY, samples=50)
-    sweep = prepare_sweep(path, asked, dataclasses.replace(Options(), overrides=("duration=20 s",)))
+    sweep = prepare_sweep(
+        path, asked, dataclasses.replace(RunOptions(), overrides=("duration=20 s",))
+    )
 
     class Soon(Watcher):
         def control(self) -> Any:
@@ -510,7 +519,7 @@ def test_a_key_cannot_have_two_values(
     message: Message,
 ) -> None:
     assert said in message(
-        lambda: prepare_sweep(path, design(vary, seeds), Options(overrides=overrides))
+        lambda: prepare_sweep(path, design(vary, seeds), RunOptions(overrides=overrides))
     )
 
 

@@ -1,0 +1,295 @@
+"""What the tests notice: random faults in the library, each with the tests that run its line.
+
+pip install coverage
+python benchmarks/mutants.py 100 --seed 1          # goes on where it was stopped
+python benchmarks/mutants.py 100 --seed 1 --report > benchmarks/results/mutants.md
+
+A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
+operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
+last commit under build/mutants, and the test files that ran its line there when all was well (or,
+for a line that is run by none, other lines of its file) run against it: a share of the sampled
+tests, without the slow ones and with them, and if that passes, all tests. A clone is made and its
+lines are recorded once, with the tests of one share. Tests that fail without a mutant do not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import importlib
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACE = ROOT / "build" / "mutants"
+TREE, SITE, MAP = PLACE / "tree", PLACE / "site", PLACE / "map.json"
+ROOMS = (
+    *("model", "plant", "observer", "records", "fmus"),
+    *("harness", "diagnosis", "cli", "common"),
+)
+RECORDED = "BRISTLE_MUTANTS"  # environment variable: the folder that a process records its lines in
+LONGEST = 3600  # s, of the tests of one mutant: one that never ends is caught
+NOTHING_RAN = 5  # exit code of pytest
+REPLACED: dict[type, tuple[type, ...]] = {
+    **{ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.GtE)},
+    **{ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.LtE)},
+    **{ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,)},
+    **{ast.In: (ast.NotIn,), ast.NotIn: (ast.In,), ast.And: (ast.Or,), ast.Or: (ast.And,)},
+    **{ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,)},
+    **{ast.FloorDiv: (ast.Mult,), ast.Mod: (ast.Mult,), ast.Pow: (ast.Mult,)},
+}
+
+
+# -- mutants ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Mutant:
+    """A change of one place of a file: bytes from `start` to `end` become `after`."""
+
+    file: str
+    line: int
+    start: int
+    end: int
+    before: str
+    after: str
+
+
+def places(file: Path) -> Iterator[Mutant]:
+    """Give all mutants of a file."""
+    content = file.read_bytes()
+    lengths = [0]
+    for line in content.splitlines(keepends=True):
+        lengths.append(lengths[-1] + len(line))
+    for node in _nodes(ast.parse(content)):
+        for old, new in _changes(node):
+            start = lengths[old.lineno - 1] + old.col_offset
+            end = lengths[old.end_lineno - 1] + old.end_col_offset
+            text = ast.unparse(new) if isinstance(new, ast.stmt) else f"({ast.unparse(new)})"
+            before = content[start:end].decode()
+            yield Mutant(file.relative_to(TREE).as_posix(), old.lineno, start, end, before, text)
+
+
+def _nodes(node: ast.AST) -> Iterator[Any]:
+    """Give the statements and expressions below a node, but for annotations and formatted text."""
+    for name, value in ast.iter_fields(node):
+        for child in value if isinstance(value, list) else [value]:
+            if name in ("annotation", "returns") or not isinstance(child, ast.AST):
+                continue
+            if isinstance(child, ast.JoinedStr):
+                continue
+            if isinstance(child, (ast.stmt, ast.expr)):
+                yield child
+            yield from _nodes(child)
+
+
+def _changes(node: Any) -> Iterator[tuple[Any, ast.AST]]:
+    """Give each change of a node: what is replaced, and by what."""
+    match node:
+        case ast.Compare(ops=[operator]):
+            for other in REPLACED[type(operator)]:
+                yield node, _with(node, ops=[other()])
+        case ast.BinOp(op=operator) | ast.BoolOp(op=operator):
+            for other in REPLACED.get(type(operator), ()):
+                yield node, _with(node, op=other())
+        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
+            yield node, operand
+        case ast.Constant(value=bool()):
+            return
+        case ast.Constant(value=int() as number):
+            yield node, ast.Constant(number + 1)
+        case ast.Constant(value=float() as number):
+            yield node, ast.Constant(2 * number or 1.0)
+        case ast.Return(value=ast.expr()):
+            yield node, ast.Return(ast.Constant(None))
+        case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
+            yield test, ast.UnaryOp(ast.Not(), test)
+
+
+def _with(node: ast.AST, **fields: Any) -> ast.AST:
+    changed = copy.copy(node)
+    for name, value in fields.items():
+        setattr(changed, name, value)
+    return changed
+
+
+def drawn(number: int, seed: int) -> list[Mutant]:
+    """Return so many mutants of all rooms, at random; each seed gives a sequence of its own."""
+    files = sorted(file for room in ROOMS for file in (TREE / room).rglob("*.py"))
+    every = [mutant for file in files for mutant in places(file)]
+    random.Random(seed).shuffle(every)
+    return every[:number]
+
+
+# -- the clone, and which tests run which lines ----------------------------------------------------
+def prepare() -> None:
+    """Clone the last commit, and make a folder from which the clone imports as bristle."""
+    shutil.rmtree(PLACE, ignore_errors=True)
+    PLACE.mkdir(parents=True)
+    subprocess.run(["git", "clone", "-q", str(ROOT), str(TREE)], check=True)
+    settings = tomllib.loads((TREE / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = settings["tool"]["setuptools"]["package-dir"]
+    shutil.copytree(TREE / "package", SITE / "bristle")
+    for package, folder in packages.items():
+        if package.count(".") == 1:
+            (SITE / "bristle" / package.split(".")[1]).symlink_to(TREE / folder)
+
+
+def tested(*arguments: str, **environment: str) -> tuple[int, list[str]]:
+    """Run tests in the clone; return pytest's exit code, -1 if they never end, and which failed."""
+    data = os.environ.get("BRISTLE_DATA", str(ROOT.parent / "shared" / "data"))
+    own = {"PYTHONPATH": str(SITE), "BRISTLE_CACHE": str(PLACE / "cache"), "BRISTLE_DATA": data}
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", *arguments]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=TREE,
+            env=os.environ | own | environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=LONGEST,
+        )
+    except subprocess.TimeoutExpired:
+        return -1, []
+    told = [line.split(" - ")[0].split(maxsplit=1) for line in done.stdout.splitlines()]
+    return done.returncode, [each[1] for each in told if each[:1] in (["FAILED"], ["ERROR"])]
+
+
+def record_lines(share: str, processes: str) -> None:
+    """Run a share of the tests and write which test files run which lines of the rooms."""
+    found = PLACE / "lines"
+    found.mkdir()
+    path = os.pathsep.join((str(SITE), str(Path(__file__).parent)))
+    options = ["-p", "mutants", "-n", processes, "--share", share]
+    _, failed = tested(*options, PYTHONPATH=path, **{RECORDED: str(found)})
+    data = importlib.import_module("coverage").CoverageData(str(found / "all"))
+    for part in found.glob("of.*"):
+        one = importlib.import_module("coverage").CoverageData(str(part))
+        one.read()
+        data.update(one)
+    lines = {
+        Path(file).relative_to(TREE).as_posix(): {
+            line: sorted(filter(None, names))
+            for line, names in data.contexts_by_lineno(file).items()
+        }
+        for file in data.measured_files()
+    }
+    MAP.write_text(json.dumps({"failed": failed, "lines": lines}), encoding="utf-8")
+
+
+def pytest_configure() -> None:
+    """As a plugin of pytest (-p mutants): record the lines that each test file runs."""
+    global _recording
+    if folder := os.environ.get(RECORDED):
+        _recording = importlib.import_module("coverage").Coverage(
+            data_file=str(Path(folder) / "of"),
+            data_suffix=True,
+            include=[f"{TREE / room}/*" for room in ROOMS],
+            config_file=False,
+        )
+        _recording.start()
+
+
+def pytest_runtest_setup(item: Any) -> None:
+    if _recording:
+        _recording.switch_context(item.nodeid.partition("::")[0])
+
+
+def pytest_sessionfinish() -> None:
+    if _recording:
+        _recording.stop()
+        _recording.save()
+
+
+_recording: Any = None
+
+
+# -- runs ------------------------------------------------------------------------------------------
+def tests_of(mutant: Mutant, lines: dict[str, dict[str, list[str]]]) -> list[str]:
+    """Return the test files that run the line of a mutant, else those that run its file."""
+    of_file = lines.get(mutant.file, {})
+    every = {name for names in of_file.values() for name in names}
+    return of_file.get(str(mutant.line), []) or sorted(every)
+
+
+def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) -> dict[str, Any]:
+    """Return what catches a mutant: "default", "all" or "nothing", and the tests that failed."""
+    file = TREE / mutant.file
+    content = file.read_bytes()
+    files = tests_of(mutant, known["lines"])
+    options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"]), *files]
+    stages = {
+        "default": [("--share", share, "-m", "not slow"), ("--share", share, "-m", "slow")],
+        "all": [("--all",)],
+    }
+    try:
+        changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
+        file.write_bytes(changed)
+        for name, runs in stages.items() if files else ():
+            for run in runs:
+                code, failed = tested(*run, *options)
+                if code not in (0, NOTHING_RAN):
+                    return asdict(mutant) | {"caught": name, "by": failed[:1]}
+    finally:
+        file.write_bytes(content)
+    return asdict(mutant) | {"caught": "nothing", "by": []}
+
+
+def report(results: list[dict[str, Any]]) -> str:
+    """Return the table of the results, and what was not caught."""
+    rows = Counter((each["file"].split("/")[0], each["caught"]) for each in results)
+    lines = ["# Random faults that the tests notice", "", __doc__.split("\n\n")[2], ""]
+    lines += ["| room | mutants | caught by a share | by all tests |", "|---|---|---|---|"]
+    for room in (*ROOMS, "all"):
+        number, share, every = (
+            sum(count for (r, c), count in rows.items() if room in (r, "all") and c in caught)
+            for caught in (("default", "all", "nothing"), ("default",), ("default", "all"))
+        )
+        lines.append(f"| {room} | {number} | {share} | {every} |")
+    lines += ["", "Not caught by all tests, or by the share only not:", ""]
+    lines += [
+        f"- {each['file']}:{each['line']}: `{' '.join(each['before'].split())}` -> "
+        f"`{each['after']}` ({each['caught']})"
+        for each in results
+        if each["caught"] != "default"
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("number", type=int, help="how many mutants")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("-n", dest="processes", default="auto", help="processes of pytest")
+    parser.add_argument("--report", action="store_true", help="print the results that there are")
+    given = parser.parse_args()
+    state, share = PLACE / f"seed{given.seed}.jsonl", f"mutants{given.seed}"
+    done = []
+    if state.exists():
+        done = [json.loads(line) for line in state.read_text(encoding="utf-8").splitlines()]
+    if given.report:
+        print(report(done))
+        return
+    if not MAP.exists():
+        prepare()
+        record_lines(share, given.processes)
+    known = json.loads(MAP.read_text(encoding="utf-8"))
+    for mutant in drawn(given.number, given.seed)[len(done) :]:
+        result = judged(mutant, known, share, given.processes)
+        with state.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(result) + "\n")
+        print(f"{result['file']}:{result['line']} {result['caught']} {result['by']}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
