@@ -21,6 +21,8 @@ from markupsafe import Markup, escape
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+__all__: list[str] = []  # for the rooms of the library
+
 # characters that may stand unescaped in an address inside quotes
 URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"
 
@@ -28,6 +30,11 @@ URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"
 def render(template: str, **data: object) -> str:
     """Return the page, or the part of one, that a template makes of data."""
     return _environment().get_template(template).render(data)
+
+
+def load(template: str) -> None:
+    """Compile a template before it is needed."""
+    _environment().get_template(template)
 
 
 def component(name: str, *arguments: object) -> Markup:

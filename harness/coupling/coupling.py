@@ -110,7 +110,8 @@ def coupling(
                 "record", None, "a measured record couples nothing; give a scenario with a [plant]"
             )
         found = compare(setup, checked.bus, progress or (lambda name, share: None))
-        files = {"coupling.json": _json(found), "report.html": _page(found)}
+        made = provenance()
+        files = {"coupling.json": _json(found, made), "report.html": _page(found, made)}
         replace_files(out, files, list(files))
     return found
 
@@ -259,7 +260,7 @@ def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
     return found
 
 
-def _json(found: CouplingCost) -> bytes:
+def _json(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
     schemes = [
         {
             "name": s.name,
@@ -280,12 +281,12 @@ def _json(found: CouplingCost) -> bytes:
             "estimates": dict(found.refined),
         },
         "notes": list(found.notes),
-        "provenance": provenance(),
+        "provenance": made,
     }
     return to_json(content).encode()
 
 
-def _page(found: CouplingCost) -> bytes:
+def _page(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
     known = list(found.refined)
     ways = [
         ("refined", found.verdict, found.refined),
@@ -294,6 +295,7 @@ def _page(found: CouplingCost) -> bytes:
     return pages.render(
         "bristle.harness.coupling/report.html",
         found=found,
+        made=made,
         refined_step=found.step / REFINED,
         known=known,
         ends=[(name, judged, [values.get(e) for e in known]) for name, judged, values in ways],

@@ -428,7 +428,8 @@ def _files(fmu: Path, replayed: ReplayedExperiments) -> dict[str, str | bytes]:
         "experiments": rows,
         "changed": list(replayed.changed),
     }
-    files: dict[str, str | bytes] = {"result.json": to_json({**about, "provenance": provenance()})}
+    made = provenance()
+    files: dict[str, str | bytes] = {"result.json": to_json({**about, "provenance": made})}
     for k, each in enumerate(replayed.experiments, 1):
         files[f"signals_{k}.csv"] = signals_text(
             each.trace, [name for _, name in each.trace.record]
@@ -439,5 +440,6 @@ def _files(fmu: Path, replayed: ReplayedExperiments) -> dict[str, str | bytes]:
         found=replayed,
         signals=[signal for each in replayed.experiments for signal in each.agreement],
         files=list(files),
+        made=made | {"fmu_sha256": about["sha256"]},
     )
     return files | {"report.html": page}

@@ -208,12 +208,16 @@ def _replay_files(
         "failure": found.failure,
         "signals": rows_of(found.agreement),
     }
-    content = to_json({**tree, "recorded": recorded, "provenance": provenance()})
+    made = provenance()
+    content = to_json({**tree, "recorded": recorded, "provenance": made})
     return {
         "result.json": content,
         "signals.csv": signals_csv(trace),
         "report.html": pages.render(
-            "bristle.harness.exchange/replay.html", package=package.path.name, found=found
+            "bristle.harness.exchange/replay.html",
+            package=package.path.name,
+            found=found,
+            made=made,
         ),
     }
 

@@ -101,3 +101,8 @@ def _load_drawing() -> None:
     with suppress(ImportError, OSError, MemoryError):
         import matplotlib.backends.backend_svg
         import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
+
+        from bristle.common import pages
+        from bristle.harness.run.run_page import PAGE
+
+        pages.load(PAGE)

@@ -8,6 +8,8 @@ from typing import Any
 from bristle.common import pages
 from bristle.harness.metrics.checks import SIGNS, check_unit
 
+PAGE = "bristle.harness.run/report.html"
+
 
 def render(
     result: Mapping[str, Any],
@@ -32,7 +34,7 @@ def render(
         Text of the scenario file.
     """
     return pages.render(
-        "bristle.harness.run/report.html",
+        PAGE,
         result=result,
         figures=figures,
         files=[f"{name}.svg" for name in figures],
