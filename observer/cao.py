@@ -17,7 +17,7 @@ from typing import Any
 
 import casadi as ca
 
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.observer import zhang
 from bristle.observer.interval import TINY, Interval
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
@@ -252,6 +252,7 @@ def _estimates(p: Namespace) -> dict[str, SX]:
     }
 
 
+_own = declaring("cao", CITATION)
 METHOD = Method(
     "cao",
     "hierarchical min-max estimation of the original LuGre law; alpha2 and b known",
@@ -273,65 +274,33 @@ METHOD = Method(
             for name, (unit, least, most, what) in REGION.items()
             for end, value in (("least", least), ("most", most))
         ),
-        Parameter(
-            "cao.tolerance",
+        _own(
+            "tolerance",
             "epsilon",
             "1",
-            2e-3,
-            1e-9,
-            1.0,
+            (2e-3, 1e-9, 1.0),
             "error of each measured term over its size",
-            CITATION,
         ),
-        Parameter(
-            "cao.steadiness",
+        _own(
+            "steadiness",
             "s",
             "1",
-            0.05,
-            1e-6,
-            1.0,
+            (0.05, 1e-6, 1.0),
             "change over speed up to which a pair of samples counts",
-            CITATION,
         ),
-        Parameter(
-            "cao.narrowing",
+        _own(
+            "narrowing",
             "n",
             "1",
-            1.0,
-            0.0,
-            1.0,
+            (1.0, 0.0, 1.0),
             "1: two levels; 0: the lower level alone, in a fixed region",
-            CITATION,
         ),
-        Parameter(
-            "cao.opening",
-            "o",
-            "1",
-            0.01,
-            0.0,
-            1.0,
-            "share by which a contradiction opens the region",
-            CITATION,
+        _own(
+            "opening", "o", "1", (0.01, 0.0, 1.0), "share by which a contradiction opens the region"
         ),
-        Parameter(
-            "cao.memory",
-            "T",
-            "s",
-            5.0,
-            1e-3,
-            1e6,
-            "time over which contradictions are counted",
-            CITATION,
-        ),
-        Parameter(
-            "cao.precision",
-            "r",
-            "1",
-            0.15,
-            0.0,
-            1e3,
-            "relative error that a valid estimate may have",
-            CITATION,
+        _own("memory", "T", "s", (5.0, 1e-3, 1e6), "time over which contradictions are counted"),
+        _own(
+            "precision", "r", "1", (0.15, 0.0, 1e3), "relative error that a valid estimate may have"
         ),
     ),
     (

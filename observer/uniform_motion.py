@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.variables import Parameter, State
+from bristle.model.variables import State, declaring
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
@@ -46,52 +46,17 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     )
 
 
+_own = declaring("uniform_motion", CITATION)
 METHOD = Method(
     "uniform_motion",
     "proposes the gate vc: the lowest speed at which steps of the input end in uniform motion",
     CITATION,
     "y_v",
     (
-        Parameter(
-            "uniform_motion.window",
-            "T_w",
-            "s",
-            0.3,
-            1e-3,
-            1e3,
-            "over which the velocity is averaged",
-            CITATION,
-        ),
-        Parameter(
-            "uniform_motion.patience",
-            "T_s",
-            "s",
-            3.0,
-            0.0,
-            1e6,
-            "shortest step of the input that counts",
-            CITATION,
-        ),
-        Parameter(
-            "uniform_motion.tolerance",
-            "epsilon",
-            "1",
-            0.05,
-            0.0,
-            1.0,
-            "spread over mean of uniform motion",
-            CITATION,
-        ),
-        Parameter(
-            "uniform_motion.least_speed",
-            "v_0",
-            "rad/s",
-            0.05,
-            0.0,
-            1e3,
-            "speed below which it rests",
-            CITATION,
-        ),
+        _own("window", "T_w", "s", (0.3, 1e-3, 1e3), "over which the velocity is averaged"),
+        _own("patience", "T_s", "s", (3.0, 0.0, 1e6), "shortest step of the input that counts"),
+        _own("tolerance", "epsilon", "1", (0.05, 0.0, 1.0), "spread over mean of uniform motion"),
+        _own("least_speed", "v_0", "rad/s", (0.05, 0.0, 1e3), "speed below which it rests"),
     ),
     (
         State("held_input", "V", "input of the step"),

@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = (
     *("cli", "common", "docs", "examples", "fmus", "model", "observer", "package", "plant"),
     *("records", "scripts", "benchmarks", "tests"),
+    *("harness", "diagnosis"),
 )
 MOST_COMPLEX = 15
 MOST_LINES = 50

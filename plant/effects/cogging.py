@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import declaring
 from bristle.plant.effect import Array, Context, Effect, Evidence, Limits, RecordedMotion
 
 
@@ -50,6 +50,7 @@ def limits(m: RecordedMotion) -> Limits:
     return {"periods": (m.two_periods, math.inf)}
 
 
+_own = declaring("cogging", "krishnan2010")
 EFFECT = Effect(
     "cogging",
     "{torque} that repeats from pole to pole",
@@ -61,47 +62,11 @@ EFFECT = Effect(
     excitation="a slow pass over many periods",
     confounded=("position_friction", "gravity", "eccentric_encoder"),
     parameters=(
-        Parameter(
-            "cogging.amplitude",
-            "A1",
-            "N.m",
-            0.001,
-            -1e6,
-            1e6,
-            "amplitude of the first term",
-            "krishnan2010",
-        ),
-        Parameter(
-            "cogging.phase",
-            "phi1",
-            "rad",
-            0.0,
-            -10.0,
-            10.0,
-            "phase of the first term",
-            "krishnan2010",
-        ),
-        Parameter("cogging.periods", "N", "1", 7.0, 1.0, 1e4, "{periods}", "krishnan2010"),
-        Parameter(
-            "cogging.amplitude2",
-            "A2",
-            "N.m",
-            0.0,
-            -1e6,
-            1e6,
-            "amplitude of the second term",
-            "krishnan2010",
-        ),
-        Parameter(
-            "cogging.phase2",
-            "phi2",
-            "rad",
-            0.0,
-            -10.0,
-            10.0,
-            "phase of the second term",
-            "krishnan2010",
-        ),
+        _own("amplitude", "A1", "N.m", (0.001, -1e6, 1e6), "amplitude of the first term"),
+        _own("phase", "phi1", "rad", (0.0, -10.0, 10.0), "phase of the first term"),
+        _own("periods", "N", "1", (7.0, 1.0, 1e4), "{periods}"),
+        _own("amplitude2", "A2", "N.m", (0.0, -1e6, 1e6), "amplitude of the second term"),
+        _own("phase2", "phi2", "rad", (0.0, -10.0, 10.0), "phase of the second term"),
     ),
     second_term=("amplitude2", "phase2"),
     torque=torque,

@@ -6,7 +6,7 @@ import math
 
 import casadi as ca
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import Parameter, declaring
 from bristle.plant.effect import OVER_INERTIA, Context, Coupling, Effect, Evidence
 
 
@@ -34,6 +34,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return starts
 
 
+_own = declaring("compliance", "spong2006 chapter 6")
 EFFECT = Effect(
     "compliance",
     "a load behind a spring",
@@ -45,36 +46,9 @@ EFFECT = Effect(
     excitation="a chirp over the resonance, typically 10 to 60 Hz",
     confounded=("input_delay", "electrical_pole", "presliding", "backlash"),
     parameters=(
-        Parameter(
-            "compliance.share",
-            "r",
-            "1",
-            0.5,
-            1e-3,
-            0.999,
-            "load inertia over the whole J",
-            "spong2006 chapter 6",
-        ),
-        Parameter(
-            "compliance.stiffness",
-            "k",
-            "N.m/rad",
-            10.0,
-            1e-6,
-            1e9,
-            "stiffness of the shaft",
-            "spong2006 chapter 6",
-        ),
-        Parameter(
-            "compliance.damping",
-            "d",
-            "N.m.s/rad",
-            0.005,
-            0.0,
-            1e6,
-            "damping of the shaft",
-            "spong2006 chapter 6",
-        ),
+        _own("share", "r", "1", (0.5, 1e-3, 0.999), "load inertia over the whole J"),
+        _own("stiffness", "k", "N.m/rad", (10.0, 1e-6, 1e9), "stiffness of the shaft"),
+        _own("damping", "d", "N.m.s/rad", (0.005, 0.0, 1e6), "damping of the shaft"),
         Parameter(
             "compliance.hardening",
             "h",

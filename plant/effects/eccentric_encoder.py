@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import declaring
 from bristle.plant.effect import Context, Effect, Evidence
 
 
@@ -31,6 +31,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"amplitude": min(math.hypot(s, c), 0.3), "phase": math.atan2(c, s)}]
 
 
+_own = declaring("eccentric_encoder", "ellin2008")
 EFFECT = Effect(
     "eccentric_encoder",
     "an encoder disc that is not centred on the shaft",
@@ -42,46 +43,10 @@ EFFECT = Effect(
     excitation="fast turns: its acceleration grows with the square of the speed",
     confounded=("gravity", "cogging"),
     parameters=(
-        Parameter(
-            "eccentric_encoder.amplitude",
-            "e",
-            "rad",
-            0.02,
-            -0.9,
-            0.9,
-            "largest error of the angle",
-            "ellin2008",
-        ),
-        Parameter(
-            "eccentric_encoder.phase",
-            "phi",
-            "rad",
-            0.0,
-            -10.0,
-            10.0,
-            "angle of the disc at theta = 0",
-            "ellin2008",
-        ),
-        Parameter(
-            "eccentric_encoder.sine2",
-            "s2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share twice in a turn, sine",
-            "ellin2008",
-        ),
-        Parameter(
-            "eccentric_encoder.cosine2",
-            "c2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share twice in a turn, cosine",
-            "ellin2008",
-        ),
+        _own("amplitude", "e", "rad", (0.02, -0.9, 0.9), "largest error of the angle"),
+        _own("phase", "phi", "rad", (0.0, -10.0, 10.0), "angle of the disc at theta = 0"),
+        _own("sine2", "s2", "1", (0.0, -0.35, 0.35), "share twice in a turn, sine"),
+        _own("cosine2", "c2", "1", (0.0, -0.35, 0.35), "share twice in a turn, cosine"),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     output=output,

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import declaring
 from bristle.plant.effect import Context, Effect, Evidence
 
 
@@ -28,6 +28,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}]
 
 
+_own = declaring("gravity", "spong2006 chapter 7")
 EFFECT = Effect(
     "gravity",
     "a mass out of balance",
@@ -39,46 +40,10 @@ EFFECT = Effect(
     excitation="more than half a turn",
     confounded=("return_spring", "hard_stop", "bias", "eccentric_encoder", "cogging"),
     parameters=(
-        Parameter(
-            "gravity.amplitude",
-            "A",
-            "N.m",
-            0.005,
-            -1e6,
-            1e6,
-            "weight times arm",
-            "spong2006 chapter 7",
-        ),
-        Parameter(
-            "gravity.phase",
-            "phi",
-            "rad",
-            0.0,
-            -10.0,
-            10.0,
-            "angle to the lowest point at theta = 0",
-            "spong2006 chapter 7",
-        ),
-        Parameter(
-            "gravity.sine2",
-            "s2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share twice in a turn, sine",
-            "spong2006 chapter 7",
-        ),
-        Parameter(
-            "gravity.cosine2",
-            "c2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share twice in a turn, cosine",
-            "spong2006 chapter 7",
-        ),
+        _own("amplitude", "A", "N.m", (0.005, -1e6, 1e6), "weight times arm"),
+        _own("phase", "phi", "rad", (0.0, -10.0, 10.0), "angle to the lowest point at theta = 0"),
+        _own("sine2", "s2", "1", (0.0, -0.35, 0.35), "share twice in a turn, sine"),
+        _own("cosine2", "c2", "1", (0.0, -0.35, 0.35), "share twice in a turn, cosine"),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,

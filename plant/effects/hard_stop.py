@@ -8,7 +8,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import Parameter, declaring
 from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion, power
 
 STOP_DEPTH = 0.1  # rad: where the torque does not depend on the exponent
@@ -56,6 +56,7 @@ def limits(m: RecordedMotion) -> Limits:
     return {"upper": (middle, math.inf), "lower": (-math.inf, middle)}
 
 
+_own = declaring("hard_stop", "acary2008")
 EFFECT = Effect(
     "hard_stop",
     "elastic stops at the ends of the range",
@@ -70,36 +71,9 @@ EFFECT = Effect(
     excitation="motion that reaches the stop",
     confounded=("gravity", "return_spring"),
     parameters=(
-        Parameter(
-            "hard_stop.stiffness",
-            "k",
-            "N.m/rad",
-            0.5,
-            0.0,
-            1e9,
-            "stiffness of the stops",
-            "acary2008",
-        ),
-        Parameter(
-            "hard_stop.upper",
-            "upper",
-            "rad",
-            1.0,
-            -1e6,
-            1e6,
-            "where the upper stop begins",
-            "acary2008",
-        ),
-        Parameter(
-            "hard_stop.lower",
-            "lower",
-            "rad",
-            -1e6,
-            -1e6,
-            1e6,
-            "where the lower stop begins",
-            "acary2008",
-        ),
+        _own("stiffness", "k", "N.m/rad", (0.5, 0.0, 1e9), "stiffness of the stops"),
+        _own("upper", "upper", "rad", (1.0, -1e6, 1e6), "where the upper stop begins"),
+        _own("lower", "lower", "rad", (-1e6, -1e6, 1e6), "where the lower stop begins"),
         Parameter(
             "hard_stop.exponent",
             "n",

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from bristle.model.variables import Parameter
+from bristle.model.variables import declaring
 from bristle.plant.effect import (
     BOTH_DIRECTIONS,
     DRY_FRICTION,
@@ -54,6 +54,7 @@ def limits(m: RecordedMotion) -> Limits:
     return {"periods": (m.two_periods, math.inf)} if m.linear else {}
 
 
+_own = declaring("position_friction", "armstrong1994")
 EFFECT = Effect(
     "position_friction",
     "dry friction that depends on the position",
@@ -66,42 +67,11 @@ EFFECT = Effect(
     needs=(BOTH_DIRECTIONS,),
     confounded=("cogging", "load_friction", "friction_drift"),
     parameters=(
-        Parameter(
-            "position_friction.amplitude",
-            "A",
-            "1",
-            0.4,
-            -1.0,
-            1.0,
-            "share of the friction that varies",
-            "armstrong1994",
-        ),
-        Parameter(
-            "position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "{periods}", "armstrong1994"
-        ),
-        Parameter(
-            "position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"
-        ),
-        Parameter(
-            "position_friction.sine2",
-            "s2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share of a second term, sine",
-            "armstrong1994",
-        ),
-        Parameter(
-            "position_friction.cosine2",
-            "c2",
-            "1",
-            0.0,
-            -0.35,
-            0.35,
-            "share of a second term, cosine",
-            "armstrong1994",
-        ),
+        _own("amplitude", "A", "1", (0.4, -1.0, 1.0), "share of the friction that varies"),
+        _own("periods", "N", "1", (1.0, 1.0, 1e4), "{periods}"),
+        _own("phase", "phi", "rad", (0.0, -10.0, 10.0), "phase"),
+        _own("sine2", "s2", "1", (0.0, -0.35, 0.35), "share of a second term, sine"),
+        _own("cosine2", "c2", "1", (0.0, -0.35, 0.35), "share of a second term, cosine"),
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     factor=factor,

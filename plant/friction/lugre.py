@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, declaring
 from bristle.plant.law import BRISTLE_DAMPING, Friction, FrictionLaw, stribeck_curve, stribeck_truth
 
 
@@ -30,6 +30,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     return bristles(p, v, p.sigma1)
 
 
+_own = declaring("lugre", "dixit2008 eq. (10)")
 LAW = FrictionLaw(
     "lugre",
     "LuGre friction with bristle damping",
@@ -56,36 +57,9 @@ LAW = FrictionLaw(
             BRISTLE_DAMPING,
             "dixit2008 eq. (8)",
         ),
-        Parameter(
-            "lugre.Fc",
-            "sigma0 a0",
-            "N.m",
-            0.004,
-            1e-9,
-            1e6,
-            "Coulomb friction",
-            "dixit2008 eq. (10)",
-        ),
-        Parameter(
-            "lugre.Fs",
-            "sigma0 (a0 + a1)",
-            "N.m",
-            0.0072,
-            1e-9,
-            1e6,
-            "static friction",
-            "dixit2008 eq. (10)",
-        ),
-        Parameter(
-            "lugre.vs",
-            "v0",
-            "rad/s",
-            0.4363323129985824,
-            1e-6,
-            1e3,
-            "Stribeck velocity",
-            "dixit2008 eq. (10)",
-        ),
+        _own("Fc", "sigma0 a0", "N.m", (0.004, 1e-9, 1e6), "Coulomb friction"),
+        _own("Fs", "sigma0 (a0 + a1)", "N.m", (0.0072, 1e-9, 1e6), "static friction"),
+        _own("vs", "v0", "rad/s", (0.4363323129985824, 1e-6, 1e3), "Stribeck velocity"),
     ),
     states=(State("z", "rad", "bristle deflection", scale=lambda p: p.Fc / p.sigma0),),
 )
