@@ -107,6 +107,7 @@ def _read_signals(
         raise BristleError(
             f"{path}: no table of numbers ({error}); run the scenario again"
         ) from None
+    # what is no table of signals
     if not table.size:
         raise BristleError(f"{path}: no numbers below its head; run the scenario again")
     if (
@@ -118,7 +119,22 @@ def _read_signals(
         raise BristleError(
             f"{path}: must have a head with one name a column, time first; run the scenario again"
         )
-    time, last = table[:, 0], (total - 1) * step
+    rows = _rows_at(path, table[:, 0], step, total)
+    # all instants that a run writes, be it thinned or at full rate
+    written = thinned(total)
+    if lost := missing(rows, written if np.isin(rows, written).all() else np.arange(total)):
+        raise BristleError(
+            f"{path}: {lost.count} of {lost.total} instants are missing, "
+            f"the first at {lost.first * step:g} s; run the scenario again"
+        )
+    return rows, dict(zip(head[1:], table.T[1:], strict=True))
+
+
+def _rows_at(path: Path, time: Array, step: float, total: int) -> NDArray[np.int64]:
+    """Return the rows of a run that a column of times stands for: they rise, lie within the run,
+    each at a step.
+    """
+    last = (total - 1) * step
     if (np.diff(time) <= 0).any() or time[0] < -0.5 * step or time[-1] > last + 0.5 * step:
         raise BristleError(
             f"{path}: its times must rise, from 0 to {last:g} s as result.json says; run the"
@@ -131,13 +147,7 @@ def _read_signals(
             f"{path}: its times are no multiples of the step of result.json, {step:g} s; run the"
             " scenario again"
         )
-    written = thinned(total)
-    if lost := missing(rows, written if np.isin(rows, written).all() else np.arange(total)):
-        raise BristleError(
-            f"{path}: {lost.count} of {lost.total} instants are missing, "
-            f"the first at {lost.first * step:g} s; run the scenario again"
-        )
-    return rows, dict(zip(head[1:], table.T[1:], strict=True))
+    return rows
 
 
 # -- judging ---------------------------------------------------------------------------------------
@@ -166,8 +176,7 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
     have.
     """
     result_a, result_b = a.result, b.result
-    notes = _origins(result_a, result_b)
-    refused = _refused(result_a, result_b)
+    notes, refused = _origins(result_a, result_b), _refused(result_a, result_b)
     found = RunComparison(
         "A",
         "B",
@@ -181,6 +190,7 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
         courses={},
         made=(_made(result_a), _made(result_b)),
     )
+    # only a run that has all instants of the reference is judged
     rows, at_a, at_b = np.intersect1d(
         a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True
     )
@@ -190,8 +200,8 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
         found = replace(found, refused=(f"{line} the scenario of B again",))
     if found.refused:
         return found
-    new = [name for name in b.signals.values if name not in a.signals.values]
-    notes += [f"signals that only B has, not judged: {', '.join(new)}"] if new else []
+    if new := [name for name in b.signals.values if name not in a.signals.values]:
+        notes.append(f"signals that only B has, not judged: {', '.join(new)}")
     time = np.asarray(rows * float(result_a["step_s"]), dtype=np.float64)
     courses = _courses(a.signals, b.signals, time, at_a, at_b)
     return replace(
@@ -285,6 +295,7 @@ def _short(value: object) -> str:
 
 def judge_signal(name: str, course: SignalCourse) -> SignalVerdict:
     """Judge a signal: the reference decides where; it must be a number there, within the bounds."""
+    # without a number in the run where the reference has one, it fails there
     known = np.isfinite(course.reference)
     if not known.any():
         return SignalVerdict(name, True, why="not judged: the reference has no number")
@@ -305,6 +316,7 @@ def judge_signal(name: str, course: SignalCourse) -> SignalVerdict:
             high,
             f"it is {course.values[k]}",
         )
+    # elsewhere the worst point decides: the distance as a share of what is allowed
     open_ = known & ~(np.isfinite(course.lower) & np.isfinite(course.upper))
     judged = known & ~open_
     if not judged.any():

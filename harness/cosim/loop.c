@@ -30,14 +30,14 @@ typedef struct {
     int fmi, n_in, n_out, n_in_flags, n_out_flags;
     const unsigned *in_vr, *out_vr; /* numbers, then Booleans, which the bus carries as 0 and 1 */
     double *in, *out;
-} Unit;
+} LoopUnit;
 
 typedef struct { const double *from; double *to; double factor; long long unit; } Link; /* factor between units of measurement; unit: that of `to` */
 typedef struct { long long step; double *to; double value; } Event;
-typedef struct { const Unit *unit; unsigned vr; int boolean; double factor; } Flag; /* what is read only now and then */
+typedef struct { const LoopUnit *unit; unsigned vr; int boolean; double factor; } Flag; /* what is read only now and then */
 
 typedef struct {
-    const Unit *units;
+    const LoopUnit *units;
     const Link *links;
     const Event *events;            /* sorted by step */
     double *const *series_to;       /* row k of series is put on the bus at step k */
@@ -69,7 +69,7 @@ typedef struct {
 enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
 enum { ALL = -1 };                       /* units */
 
-static int set_flag(const Unit *u, int place)
+static int set_flag(const LoopUnit *u, int place)
 {
     const bool three = u->in[place] != 0.0;
     const int two = three;
@@ -77,7 +77,7 @@ static int set_flag(const Unit *u, int place)
                        : ((SetFlag2)u->set_flag)(u->instance, &u->in_vr[place], 1, &two);
 }
 
-static int get_flag(const Unit *u, unsigned vr, double *out)
+static int get_flag(const LoopUnit *u, unsigned vr, double *out)
 {
     bool three = false;
     int two = 0;
@@ -87,12 +87,12 @@ static int get_flag(const Unit *u, unsigned vr, double *out)
     return status;
 }
 
-static int get_numbers(const Unit *u, const unsigned *vr, size_t n, double *out)
+static int get_numbers(const LoopUnit *u, const unsigned *vr, size_t n, double *out)
 {
     return u->fmi == 3 ? ((Get3)u->get)(u->instance, vr, n, out, n) : ((Get2)u->get)(u->instance, vr, n, out);
 }
 
-static int unit_set(const Unit *u)
+static int unit_set(const LoopUnit *u)
 {
     int status = OK;
     if (u->n_in > 0)
@@ -102,7 +102,7 @@ static int unit_set(const Unit *u)
     return status;
 }
 
-static int unit_get(const Unit *u, double *out)
+static int unit_get(const LoopUnit *u, double *out)
 {
     int status = OK;
     if (u->n_out > 0) status = get_numbers(u, u->out_vr, (size_t)u->n_out, out);
@@ -110,7 +110,7 @@ static int unit_get(const Unit *u, double *out)
     return status;
 }
 
-static int unit_step(const Unit *u, double time, double h)
+static int unit_step(const LoopUnit *u, double time, double h)
 {
     bool event = false, terminate = false, early = false;
     double reached = time;
@@ -157,7 +157,7 @@ static int step_all(Master *m, double time, double h)
 {
     if (!m->sequential) transfer(m, ALL);
     for (long long i = 0; i < m->n_units; i++) {
-        const Unit *u = &m->units[i];
+        const LoopUnit *u = &m->units[i];
         long long call = 0; /* inputs, step, outputs */
         m->control[3] = i;
         if (m->sequential) transfer(m, i);
@@ -247,7 +247,7 @@ typedef struct {
     Function reset, setup, enter, leave;
 } Lifecycle;
 
-static int begin(const Unit *u, const Lifecycle *l, long long n, const unsigned *vr, const double *values)
+static int begin(const LoopUnit *u, const Lifecycle *l, long long n, const unsigned *vr, const double *values)
 {
     int status = ((int (*)(void *))l->reset)(u->instance);
     if (status <= WARNING) status = ((Set2)u->set)(u->instance, vr, (size_t)n, values);
@@ -259,7 +259,7 @@ static int begin(const Unit *u, const Lifecycle *l, long long n, const unsigned 
 
 /* series is (steps, n_in), values (sets, n), record (sets, steps + 1, n_out); rows that could not be computed are NaN.
  * Returns the number of sets that ran to their end. */
-EXPORT long long loop_drive(const Unit *u, const Lifecycle *l, long long steps, double h, const double *series, long long sets,
+EXPORT long long loop_drive(const LoopUnit *u, const Lifecycle *l, long long steps, double h, const double *series, long long sets,
                             long long n, const unsigned *vr, const double *values, double *record, volatile long long *control)
 {
     long long good = 0;

@@ -205,9 +205,9 @@ def _resolved(base: str, source: str) -> str:
 def _read(name: str, read: Read) -> Iterator[FmuExperiment]:
     """Give the experiments of a file of an FMU or a folder."""
     root = tree_of(read(name), name)
-    if root.tag != "Experiments" or root.find("FmuExperiment") is None:
+    if root.tag != "Experiments" or root.find("Experiment") is None:
         raise BristleError(f"{name}: is no file of experiments (MA-HS-Experiments)")
-    for element in root.findall("FmuExperiment"):
+    for element in root.findall("Experiment"):
         yield _experiment(element, name, read)
 
 
@@ -341,6 +341,7 @@ def _bus(fmu: Fmu, experiment: FmuExperiment) -> Bus:
             raise BristleError(
                 f"{experiment.source}: the FMU {fmu.path} has no parameter '{name}'{known}"
             )
+    # the stimuli as they are held over each step
     unit, series = fmu.path.stem, {}
     time, columns = experiment.stimuli or (np.zeros(1), {})
     for name, values in columns.items():
@@ -358,6 +359,7 @@ def _bus(fmu: Fmu, experiment: FmuExperiment) -> Bus:
             np.asarray(start + step * np.arange(steps), dtype=np.float64),
             step,
         )
+    # what the reference has, or all outputs
     recorded = experiment.reference[1] if experiment.reference else fmu.names("output")
     record: tuple[Port, ...] = tuple(
         (unit, name) for name in recorded if name in fmu.variables and _comparable(fmu, name)

@@ -115,10 +115,12 @@ def _replay_bus(package: SystemPackage, folder: Path) -> Bus:
     }
     if not fmus:
         raise package.mistake("has no FMU")
+    # when the outputs are read
     step, stop = _times(package, fmus)
     with package.named():
         steps = number_of_steps(system.start, stop, step)
     at = np.asarray(system.start + step * np.arange(steps), dtype=np.float64)
+    # connections lead from one FMU to another, or from a table to an FMU
     links, series = [], {}
     tables = {
         each.name: package.columns(each.source)
@@ -137,6 +139,7 @@ def _replay_bus(package: SystemPackage, folder: Path) -> Bus:
         else:
             _check_port(package, fmus, source, "output")
             links.append((source, target))
+    # all FMUs with their start values; every Real output is recorded
     instances = tuple(
         BusUnit(each.name, fmus[each.name], dict(each.values))
         for each in system.components

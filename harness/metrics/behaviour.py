@@ -168,6 +168,7 @@ def _energy(motion: PlantMotion) -> dict[str, Quantity]:
                 ("energy_residual_percent", "%"),
             )
         }
+    # works over each step, with the voltage held and the mean of the friction torque
     assert motion.inertia is not None
     assert motion.gain is not None
     v, force, moved = motion.signals["v"], motion.signals["F"], np.diff(motion.signals["theta"])
@@ -178,6 +179,7 @@ def _energy(motion: PlantMotion) -> dict[str, Quantity]:
         if "tau_load" in motion.signals
         else 0.0
     )
+    # what is left of the balance, over the work of the drive without its sign
     kinetic = 0.5 * motion.inertia * float(v[-1] ** 2 - v[0] ** 2)
     size = float(np.sum(np.abs(power)))
     residual = (

@@ -86,8 +86,10 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
         path, [*own, *_shortened(path, share)], lambda text: say(f"order {order}, {text}")
     )
     setup, view, validated = checked.setup, found.view, found.validated
+    # the second record, on which all schemes are scored
     if second is None and validated is not None:
         second = Data(validated.voltage, validated.measured, setup.h)
+    # what the figures show of both records
     window, kept = _inside(view.time, "reference_window", share), thin(len(view.time), 3000)
     measured: Array = np.zeros(0) if second is None else second.y
     seconds: Array = np.asarray(np.arange(len(measured)) * setup.h)
@@ -100,6 +102,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     )
     if prediction.velocity is not None:
         predictions["model"] = prediction.velocity[shown]
+    # all that is kept of the run; curves are thinned
     published = {name: course.hat for name, course in view.published.items()}
     return SchemeCase(
         key,
@@ -138,6 +141,7 @@ def _predicted(checked: Checked, found: Outcome, second: Data | None) -> Predict
         name: {"valid": True, "final": float(course.hat[-1])}
         for name, course in found.view.published.items()
     }
+    # what was published last makes a model, or step 1 alone does
     known = given_parameters(setup, setup.values["observer"])
     model, remark = identified_model(last, known, checked.lean), None
     if failed is not None or model.problem is not None:

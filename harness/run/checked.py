@@ -118,6 +118,7 @@ def check_estimated(setup: RunSetup) -> None:
     observer, method = setup.fmus["observer"], setup.scenario.observer.method
     if observer.foreign or method is None:
         return
+    # the checks that name an estimate, and what the method gives
     named = {
         i: each.quantity
         for i, each in enumerate(setup.scenario.checks)

@@ -280,6 +280,7 @@ def _friction(pictures: Pictures) -> Any:
         LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2)))
         or 1.0
     )
+    # the observer below the plant; on the right the last loops near rest
     for cloud, colour, size, label in (
         (pictures.friction_hat, ESTIMATE, 4.5, "observer"),
         (pictures.friction, TRUTH, 1.6, "plant, F/J"),
@@ -306,13 +307,9 @@ def _friction(pictures: Pictures) -> Any:
             color=colour,
             linewidth=width,
         )
-    set_labels(
-        wide,
-        y=(
-            f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'},"
-            f" {pictures.rig.position}/s²"
-        ),
-    )
+    position = pictures.rig.position
+    inertia = "mass" if position == "m" else "inertia"
+    set_labels(wide, y=f"friction over {inertia}, {position}/s²")
     set_title(wide, "whole range")
     seconds = min(LOOP_SECONDS, pictures.step * len(pictures.signals["v"]))
     set_title(near, f"near rest, the last {seconds:.3g} s: presliding loops")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.provenance import provenance
+from bristle.fmus.host import Fmu
 from bristle.harness.cosim.bus import Bus, BusTrace
 from bristle.harness.metrics.behaviour import PlantMotion, Quantity, behaviour
 from bristle.harness.metrics.checks import judge, validity_checks, why_not
@@ -43,7 +44,7 @@ class Outcome:
     result: dict[str, Any]
     view: RunView
     validated: ModelValidation | None
-    findings: tuple[str, ...] = ()  # as of `Run`
+    findings: tuple[str, ...] = ()  # as of `FinishedRun`
     tracking: Tracking | None = None
 
 
@@ -60,6 +61,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             "units": view.column_units(setup),
             "provenance": _provenance(checked),
         }
+    # second runs, where the scenario asks for them and the first came to its end
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
         with clock.stage("the same run without compensation"):
@@ -72,6 +74,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             tell("validation and fits", 0, 0)
             validated = _validate(checked, result, view)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
+    # what the user is told beside the verdict
     findings = (
         *_trusted(setup),
         *(setup.samples.findings if setup.samples else ()),
@@ -131,15 +134,7 @@ def _trusted(setup: RunSetup) -> list[str]:
 
 def _measure(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
     """Return result.json without validation, verdict and timing."""
-    fmus = {
-        name: {
-            "file": fmu.path.name,
-            "sha256": fmu.sha256,
-            "fmi": fmu.description.fmiVersion,
-            "kind": fmu.kind,
-        }
-        for name, fmu in setup.fmus.items()
-    }
+    # what every run has
     result: dict[str, Any] = {
         "scenario": setup.loaded.name,
         "verdict": "fail",
@@ -153,9 +148,10 @@ def _measure(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
         "estimates": estimates(view.time, view.published, view.true),
         "states": state_errors(view.trace, view.states(), view.units),
         "checks": [],
-        "fmus": fmus,
+        "fmus": {name: _about(fmu) for name, fmu in setup.fmus.items()},
     }
     result["adapted"] = any(estimate["adapted"] for estimate in result["estimates"].values())
+    # what some have: a record, a reference that is followed, an early end
     if setup.samples is not None and setup.scenario.record is not None:
         file = setup.loaded.beside(setup.scenario.record.file)
         result["record"] = {
@@ -179,6 +175,12 @@ def _measure(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
             f" {failure.message}."
         )
     return result
+
+
+def _about(fmu: Fmu) -> dict[str, str]:
+    """Return what a result says of an FMU."""
+    version = fmu.description.fmiVersion
+    return {"file": fmu.path.name, "sha256": fmu.sha256, "fmi": version, "kind": fmu.kind}
 
 
 def _validate(checked: Checked, result: Mapping[str, Any], view: RunView) -> ModelValidation:

@@ -117,6 +117,7 @@ def files_of(found: Outcome, setup: RunSetup, clock: Clock, full: bool) -> dict[
         "source": scenario.source,
         "limits": scenario.limits,
     }
+    # the times go into the report, so they end before it is written
     clock.seconds["report"] = time.perf_counter() - begin
     result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
     result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)

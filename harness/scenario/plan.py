@@ -80,6 +80,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> RunSetup:
         h = samples.h
         if fmus["observer"].foreign:  # made for who knows which speed: it reads the record as it is
             samples = replace(samples, rig=replace(samples.rig, angle=1.0, voltage=1.0))
+    # the start values of all parts
     parts: dict[str, PartTable | None] = {
         "plant": scenario.plant,
         "controller": scenario.controller,
@@ -95,6 +96,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> RunSetup:
         setup = RunSetup(loaded, fmus, values, samples, h)
         _tell_resolution(setup, samples.resolution)
         return setup
+    # the stimuli, and what can only be checked with them
     free = {
         name: (unit, fmus[unit])
         for unit, ports in PORTS.items()
@@ -361,6 +363,7 @@ def validation(setup: RunSetup) -> Bus:
             demand.seed,
             "is the seed of the identification record; choose another one",
         )
+    # the last loads held, and the same units with another seed
     loads = [stimulus.settled() for stimulus in setup.stimuli if stimulus.unit == "plant"]
     steps = round(demand.duration / setup.h)
     controller = BusUnit(

@@ -124,6 +124,7 @@ def _new_record_keys(path: Path, tree: dict[str, Any]) -> list[str]:
         "theta": ("output", "position"),
         "v": ("output", "velocity"),
     }
+    # each old key becomes the table that has its place
     new, written = {key: value for key, value in section.items() if key not in old}, []
     for key in old:
         name, kind = kinds[key]

@@ -60,6 +60,7 @@ def read_samples(loaded: Loaded) -> Samples:
             f"{scenario.step:g} s",
             f"the record is sampled every {record.h:g} s; leave step out",
         )
+    # a shorter duration leaves the end of the record out
     count = len(record)
     if scenario.duration is not None:
         count = round(scenario.duration / record.h) + 1
@@ -68,6 +69,7 @@ def read_samples(loaded: Loaded) -> Samples:
             raise loaded.error(
                 "duration", f"{scenario.duration:g} s", f"{longest}; shorten it or leave it out"
             )
+    # position and velocity as the observer reads them, and the scales in which it does
     theta, v, measured = _motion(layout, record)
     rig = normalising(layout, record.h, record.y[:count], record.u[:count])
     findings = (*record.findings, *_untried(record))

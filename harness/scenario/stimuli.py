@@ -130,6 +130,7 @@ def _signals(loaded: Loaded, free: Free, h: float) -> Iterator[Signal]:
                 f" {', '.join(free) or 'none'}"
             )
             raise loaded.error(f"{key}.variable", name, message)
+        # sizes in the unit of the input, and frequencies that the steps can show
         unit, fmu = free[name]
         sine = noise = None
         if stimulus.sine is not None:

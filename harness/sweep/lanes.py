@@ -75,6 +75,7 @@ class Together:
         def flag(port: Port, lane: int) -> tuple[int, int, int]:
             return units.index(port[0]), self.lanes[port[0]].reference(port[1], lane), 0
 
+        # all lanes in one loop; a lane that failed is left to a run of its own
         compiled = Compiled(
             full, Memory(structures, self._address, lambda _port: 1.0, flag, self._values), control
         )

@@ -99,6 +99,7 @@ def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
     mistakes: dict[str, None] = {}
     first_seed = design.seeds[0] if design.seeds else None
     hashes: set[str] = set()
+    # each value once: what it needs is built, and what is wrong with it is collected
     for overrides in design.trials():
         try:
             loaded = load_point(empty, SweepPoint(0, overrides, first_seed))
@@ -114,6 +115,7 @@ def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
                 break
     if mistakes:
         raise BristleError("\n".join(mistakes))
+    # the hashes that name the sweep, and the runs in it
     version = provenance()["version"]
     identity = digest(
         version, text, repr((options.fmi, options.kind, tuple(options.overrides))), *sorted(hashes)

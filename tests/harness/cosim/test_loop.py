@@ -70,7 +70,7 @@ def fields_in_c(structure: str) -> list[tuple[str, object]]:
     "twin",
     [
         getattr(compiled_loop, name)
-        for name in ("Unit", "_Link", "_Event", "_Flag", "_Master", "Lifecycle")
+        for name in ("LoopUnit", "_Link", "_Event", "_Flag", "_Master", "Lifecycle")
     ],
 )
 def test_the_structures_are_those_of_the_c_code(twin: type[ctypes.Structure]) -> None:
