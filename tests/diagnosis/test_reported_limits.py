@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.estimation.uncertainty import covariance
-from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.detection_limit import LARGEST_LIMIT, detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
@@ -73,7 +73,7 @@ def undetected(name, information, free, null, gain=0.0):
         information=information,
         collinear_with=lambda place: (),
     )
-    [said] = detection_limits([Candidate(name, fit)], null, 100.0)
+    [said] = detection_limits([EffectFit(name, fit)], null, 100.0)
     return said
 
 
