@@ -116,7 +116,7 @@ def test_no_limit_is_reported_that_the_records_do_not_set():
 def found_by(made, name):
     """An effect as a search among it alone found it, with null and likelihood without it."""
     found = evaluate_candidates(SearchContext(made.dataset, made.base), [name])
-    [candidate] = (each for each in found.candidates if each.name == name)
+    [candidate] = (each for each in found.trials if each.name == name)
     return candidate, found.null, found.base
 
 
