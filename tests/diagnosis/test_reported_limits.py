@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.estimation.uncertainty import covariance
-from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.detection_limit import LARGEST_LIMIT, detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
@@ -73,7 +73,7 @@ def undetected(name, information, free, null, gain=0.0):
         information=information,
         collinear_with=lambda place: (),
     )
-    [said] = detection_limits([Candidate(name, fit)], null, 100.0)
+    [said] = detection_limits([EffectFit(name, fit)], null, 100.0)
     return said
 
 
@@ -116,7 +116,7 @@ def test_no_limit_is_reported_that_the_records_do_not_set():
 def found_by(made, name):
     """An effect as a search among it alone found it, with null and likelihood without it."""
     found = evaluate_candidates(SearchContext(made.dataset, made.base), [name])
-    [candidate] = (each for each in found.candidates if each.name == name)
+    [candidate] = (each for each in found.trials if each.name == name)
     return candidate, found.null, found.base
 
 

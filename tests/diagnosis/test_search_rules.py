@@ -15,7 +15,7 @@ from bristle.diagnosis.selection.candidates import (
     EXHAUSTIVE,
     QUICK,
     REFINEMENT_STEPS,
-    Candidate,
+    EffectFit,
 )
 from bristle.plant.effects import effect
 
@@ -36,7 +36,7 @@ def climb(monkeypatch):
         monkeypatch.setattr(candidates, "value_under_noise", lambda fit, noise: (fit.total, fit))
         fit = SimpleNamespace(total=begin, simulator=SimpleNamespace(play=play))
         context = SimpleNamespace(fit=SimpleNamespace(total=0.0), screening_noise=None)
-        found = candidates.advance_candidate(context, Candidate(name, fit, predicted=50.0), effort)
+        found = candidates.advance_candidate(context, EffectFit(name, fit, predicted=50.0), effort)
         used = len(totals) - len(left)
         assert found.predicted == found.fit.total == totals[used - 1]
         return used
@@ -72,7 +72,7 @@ def test_an_effect_that_changes_nothing_at_its_start_is_left_there(monkeypatch, 
     monkeypatch.setattr(candidates, "value_under_noise", lambda fit, noise: (fit.total, fit))
     fit = SimpleNamespace(total=1.0, simulator=SimpleNamespace(play=""))
     context = SimpleNamespace(fit=SimpleNamespace(total=0.0), screening_noise=None)
-    candidate = Candidate("bias", fit, predicted=predicted)
+    candidate = EffectFit("bias", fit, predicted=predicted)
     candidates.advance_candidate(context, candidate, QUICK)
     assert len(count) == refits
     candidates.advance_candidate(context, candidate, EXHAUSTIVE)

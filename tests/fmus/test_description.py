@@ -49,7 +49,7 @@ def identity(case):
     return "-".join([case[0], *map(str, case[1].values())]) if isinstance(case, tuple) else None
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("case", ALL, ids=identity)
 def test_the_validator_finds_nothing(built, case):
     assert validate_fmu(str(built(case[0], **case[1]).path)) == []
@@ -81,7 +81,7 @@ def test_build_description_is_valid_and_complete(built, what):
     }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("case", ALL, ids=identity)
 def test_variables_are_those_of_the_program(built, case):
     """Names, units, limits, starts and value references; one definition, so no list of names is
