@@ -399,10 +399,10 @@ def undetected(limits: Sequence[Undetected], model: Model) -> dict[str, str]:
 
 
 def _undetected(each: Undetected, model: Model) -> str:
-    effect = find_effect(each.name, model.wording)
-    needs = f"what shows it: {effect.excitation}"
     if each.reason:
         return said(each.reason)
+    effect = find_effect(each.name, model.wording)
+    needs = f"what shows it: {effect.excitation}"
     if each.gain is not None and each.before:
         added = effect_name(each.before, model.wording)
         gained = f"before {added} was added it gained {each.gain:.0f} nats"
