@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bristle.cli import main as cli
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
-from bristle.diagnosis import preparation as prepare
+from bristle.diagnosis.checks import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import model_text
 from bristle.diagnosis.report.text.said import said
