@@ -72,7 +72,7 @@ WHOLE_RECORDS = Step(
     as_fitted_to_segments,
     ("whole records", 0.9),
 )
-STEPS = (  # after that
+LATER_STEPS = (  # after that
     Step(remarks),
     Step(unnamed_torque, 0.8, Reason.NO_UNNAMED_TORQUE),
     Step(agreement, 0.8, Reason.NOT_COMPARED_RECORDS),
@@ -221,7 +221,7 @@ def _answered(
         case, answer = conclude(prepared, without_effects(prepared, outcome, answer))
         answer, late = _taken(WHOLE_RECORDS, case, answer, tell, budget)
     left_out = [late]
-    for step in STEPS:
+    for step in LATER_STEPS:
         answer, late = _taken(step, case, answer, tell, budget)
         left_out.append(late)
     cut = _cut_short(outcome, budget, [finding(reason) for reason in left_out if reason])

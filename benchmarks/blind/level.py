@@ -87,15 +87,18 @@ def searched(folder: Path, number: int, target: Path) -> None:
     dataset, base, _ = prepare_model(model, again, dataset_of(model, again))
     [first, *_] = search(dataset, base, SearchOptions(jobs=1, test_input_hold=False)).rounds
     excess = [
-        c.gain_over(base.fit) - first.null.typical.get(c.name, 0.0)
-        for c in first.candidates
-        if c.fit
+        c.gain_over(base.fit) - first.null.typical.get(c.name, 0.0) for c in first.trials if c.fit
     ]
     quantile = float(np.quantile(first.null.draws, 1 - FALSE_ALARM_RATE)) / REFIT_FACTOR
-    named = first.best.name if first.outcome in ("added", "withdrawn") and first.best else ""
+    named = first.best.name if first.said.outcome in ("added", "withdrawn") and first.best else ""
     write_json(
         target,
-        {"excess": max(excess), "quantile": quantile, "outcome": first.outcome, "named": named},
+        {
+            "excess": max(excess),
+            "quantile": quantile,
+            "outcome": first.said.outcome,
+            "named": named,
+        },
     )
 
 

@@ -509,7 +509,7 @@ def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
         made = case(name, **given)
         context = SearchContext(made.dataset, made.base)
         found = evaluate_candidates(context, [name])
-        ends.append(add_effect(context, found.candidates[0], found.null.level(name)).fit)
+        ends.append(add_effect(context, found.trials[0], found.null.level(name)).fit)
     assert not {f"{name}.{short}" for short in bending} & {f.name for f in ends[0].free}
     for short in bending:
         assert ends[1].values[f"{name}.{short}"] == pytest.approx(FORMS[name][short], rel=0.25)

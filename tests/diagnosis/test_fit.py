@@ -53,7 +53,7 @@ def joined(case, name):
     """An effect refitted from its own starts, on top of a model that lacks it, under the noise it
     leaves.
     """
-    [found] = evaluate_candidates(SearchContext(case.dataset, case.base), [name]).candidates
+    [found] = evaluate_candidates(SearchContext(case.dataset, case.base), [name]).trials
     return found
 
 

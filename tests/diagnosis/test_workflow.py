@@ -298,10 +298,10 @@ def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_an
     t, u, y, _ = measured("gravity", 1)
     for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest segment
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
-        dataset, _, found = prepare.prepare_model(
+        dataset, _, notes = prepare.prepare_model(
             model, records, prepare.dataset_of(model, records)
         )
-        lines = [said(each) for each in found]
+        lines = [said(note) for note in notes]
         assert dataset.segments.seconds == pytest.approx(seconds)
         assert [
             line for line in lines if f"segments of {seconds:g} s were compared" in line

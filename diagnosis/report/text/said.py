@@ -278,7 +278,7 @@ def _wrong_factor(facts: Facts) -> str:
     looks = [(facts["what"], facts["factor"]), *facts["others"]]
     ratios = ", ".join(f"{name} x{ratio:.3g}" for name, ratio in facts["ratios"])
     check = _advice(f"check the unit '{facts['unit']}' of column '{facts['column']}'", facts)
-    causes = ", ".join(CAUSES[cause](detail) for cause, detail in facts["causes"])
+    causes = ", ".join(CAUSE_WORDS[cause](detail) for cause, detail in facts["causes"])
     return (
         f"{', or '.join(_looks_off(*each) for each in looks)}: against the nominal values {ratios};"
         f" {check}; possible causes: {causes}"
@@ -291,7 +291,7 @@ def _unit_cause(unit: str) -> str:
     return f"a unit of {unit}" if unit in ("milli", "micro") else unit
 
 
-CAUSES: dict[str, Callable[[str], str]] = {  # of a wrong factor, from their details
+CAUSE_WORDS: dict[str, Callable[[str], str]] = {  # of a wrong factor, from their details
     "unit": _unit_cause,
     "scale": lambda _: "a missing scale",
     "gear": lambda _: "a missing gear ratio",
