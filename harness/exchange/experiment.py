@@ -205,9 +205,9 @@ def _resolved(base: str, source: str) -> str:
 def _read(name: str, read: Read) -> Iterator[FmuExperiment]:
     """Give the experiments of a file of an FMU or a folder."""
     root = tree_of(read(name), name)
-    if root.tag != "Experiments" or root.find("FmuExperiment") is None:
+    if root.tag != "Experiments" or root.find("Experiment") is None:
         raise BristleError(f"{name}: is no file of experiments (MA-HS-Experiments)")
-    for element in root.findall("FmuExperiment"):
+    for element in root.findall("Experiment"):
         yield _experiment(element, name, read)
 
 
