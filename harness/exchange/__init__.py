@@ -1,1 +1,3 @@
 """Scenarios as packages for other laboratories, and runs of what comes from them."""
+
+__all__: list[str] = []

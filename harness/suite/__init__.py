@@ -1,1 +1,3 @@
 """Many scenarios as tests, and their summary."""
+
+__all__: list[str] = []

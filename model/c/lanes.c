@@ -65,7 +65,7 @@ static int judged(Lanes *l, int k, double error, long long *i, long long *n)
 
 static void segment_controlled(Lanes *l, double begin, double length)
 {
-    Number x[N_X + 2] = {{0.0}}, h, time;
+    Number x[N_X + 2] = {{0.0}}, h = {0.0}, time;
     Mask busy = l->on;
     long long i[LANES] = {0}, n[LANES];
     for (int k = 0; k < LANES; k++) n[k] = 1LL << l->level[k];
