@@ -103,16 +103,7 @@ def propose(
             f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
             f" {', '.join(files.names[:20])}"
         )
-    times = candidates(files, "time", asked.get("time"))
-    taken = {role: name for role, name in asked.items() if role != "time"} | {
-        "time": times[0].column.column
-    }
-    inputs, outputs = (
-        candidates(
-            files, role, asked.get(role), [name for other, name in taken.items() if other != role]
-        )
-        for role in ("input", "output")
-    )
+    times, inputs, outputs = _candidates_of(files, asked)
     best, doubts = _best(tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
     rough, rough_doubts = _rough(best)
@@ -144,6 +135,18 @@ def propose(
         excitation(model, best.records),
         best.layout.differences,
     )
+
+
+def _candidates_of(files: Files, asked: Mapping[str, str]) -> list[list[Candidate]]:
+    """Return the candidates of time, input and output, the best first; a column has one role."""
+    times = candidates(files, "time", asked.get("time"))
+    taken = {**asked, "time": times[0].column.column}
+
+    def of(role: str) -> list[Candidate]:
+        others = [name for other, name in taken.items() if other != role]
+        return candidates(files, role, asked.get(role), others)
+
+    return [times, of("input"), of("output")]
 
 
 def _distinct(lines: Sequence[Line]) -> list[Line]:

@@ -7,7 +7,7 @@ from bristle.diagnosis.report.figures.of_diagnosis import as_given
 from bristle.diagnosis.report.text.names import listed, titles_listed
 
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
-VERDICTS = {
+VERDICT_WORDS = {
     "named": "named",
     "tie": "tie",
     "none": "none named",
@@ -46,7 +46,7 @@ def mark(diagnosis: Diagnosis) -> tuple[str, str]:
     """
     if diagnosis.proposals:
         return "bad", "data" if as_given(diagnosis) else "bounds"
-    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICTS[
+    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICT_WORDS[
         diagnosis.verdict
     ]
 

@@ -11,7 +11,7 @@ from bristle.diagnosis.report.content import (
     excitation_content,
     validation_content,
 )
-from bristle.diagnosis.report.headline import VERDICTS, headline
+from bristle.diagnosis.report.headline import VERDICT_WORDS, headline
 from bristle.diagnosis.report.text import statement
 from bristle.diagnosis.report.text.said import said
 
@@ -58,5 +58,5 @@ class ReportWriter:
             "bristle.diagnosis.report/notebook.html",
             diagnosis=answer,
             heading=headline(answer),
-            verdict=VERDICTS[answer.verdict],
+            verdict=VERDICT_WORDS[answer.verdict],
         )

@@ -103,6 +103,6 @@ def _load_drawing() -> None:
         import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
         from bristle.common import pages
-        from bristle.harness.run.run_page import PAGE
+        from bristle.harness.run.run_page import TEMPLATE
 
-        pages.load(PAGE)
+        pages.load(TEMPLATE)

@@ -8,7 +8,7 @@ from typing import Any
 from bristle.common import pages
 from bristle.harness.metrics.checks import SIGNS, check_unit
 
-PAGE = "bristle.harness.run/report.html"
+TEMPLATE = "bristle.harness.run/report.html"
 
 
 def render(
@@ -34,7 +34,7 @@ def render(
         Text of the scenario file.
     """
     return pages.render(
-        PAGE,
+        TEMPLATE,
         result=result,
         figures=figures,
         files=[f"{name}.svg" for name in figures],

@@ -15,7 +15,7 @@ import pytest
 import bristle
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import export
-from bristle.diagnosis.report.headline import VERDICTS
+from bristle.diagnosis.report.headline import VERDICT_WORDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
@@ -64,7 +64,7 @@ def test_every_key_file_and_verdict_is_explained(answer):
     }
     keys |= set(next(iter(content["effects"][0]["parameters"].values())))
     assert keys <= explained
-    assert {*export.WRITTEN_FILES, *VERDICTS, "chosen", "--choose NAME"} <= explained
+    assert {*export.WRITTEN_FILES, *VERDICT_WORDS, "chosen", "--choose NAME"} <= explained
 
 
 PAGES = [*DOCS.glob("*.md"), DOCS.parent / "README.md"]

