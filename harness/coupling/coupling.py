@@ -139,7 +139,7 @@ def compare(setup: RunSetup, bus: Bus, progress: Told) -> CouplingCost:
     )
 
 
-def _ways(bus: Bus, divided: Mapping[int, str]) -> dict[str, Callable[[], BusTrace]]:
+def _ways(bus: Bus, divided: Mapping[int, str]) -> Mapping[str, Callable[[], BusTrace]]:
     """Return how the bus is run, by name, the refined way first; `divided` names the ways with all
     FMUs at once.
     """

@@ -1,8 +1,8 @@
 """What the tests notice: random faults in the library, each with the tests that run its line.
 
 pip install coverage
-python benchmarks/mutants.py 100 --seed 1          # goes on where it was stopped
-python benchmarks/mutants.py 100 --seed 1 --report > benchmarks/results/mutants.md
+python benchmarks/random_mutants.py 100 --seed 1          # goes on where it was stopped
+python benchmarks/random_mutants.py 100 --seed 1 --report > benchmarks/results/mutants.md
 
 A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
