@@ -214,6 +214,11 @@ def _names() -> list[str]:
     ]
 
 
+def _is_unmapped_library(error: BaseException) -> bool:
+    """Return whether a library found no room in memory, which the loader of Linux says in words."""
+    return isinstance(error, ImportError) and "failed to map segment" in str(error)
+
+
 def explain(error: BaseException) -> str:
     """Return an error as one line; wrong options are errors of the option parser."""
     usage = getattr(error, "format_message", None)
@@ -221,7 +226,7 @@ def explain(error: BaseException) -> str:
         return "bristle: interrupted"
     if isinstance(error, BristleError):
         return f"bristle: {error}"
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or _is_unmapped_library(error):
         return "bristle: no memory left; end other programs, or allow more (ulimit -v)"
     if isinstance(error, OSError):
         return f"bristle: {_of_the_system(error)}"

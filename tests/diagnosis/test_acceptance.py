@@ -106,7 +106,7 @@ def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few
     """However much of the one, it does not take the place of another."""
     assessment = Assessment(20.0, falls, predicted, net)
     assert assessment.accepted is (objection == "")
-    assert objection in assessment.objection
+    assert objection in said(assessment.objection or "")
 
 
 @pytest.mark.parametrize("name", ["bias", "hard_stop"])

@@ -295,7 +295,12 @@ MISTAKES = [
     ),
     (EFFECT, '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
     (EFFECT, '"N.m.s3/rad3"', '"Nm"', "did you mean 'N.m'?"),
-    (METHOD, '"rad/s", 1.5', '"rads", 1.5', "parameter 'projection.vc': unit 'rads'"),
+    (
+        METHOD,
+        '"vc",\n            "rad/s",',
+        '"vc",\n            "rads",',
+        "parameter 'projection.vc': unit 'rads'",
+    ),
     (
         METHOD,
         '"ljung1999 section 11.2",\n    "y_v"',

@@ -75,7 +75,7 @@ def fields_in_c(structure: str) -> list[tuple[str, object]]:
 )
 def test_the_structures_are_those_of_the_c_code(twin: type[ctypes.Structure]) -> None:
     fields = [(name.rstrip("_"), kind) for name, kind, *_ in twin._fields_]
-    assert fields == fields_in_c(twin.__name__.lstrip("_").removeprefix("Loop"))
+    assert fields == fields_in_c(twin.__name__.lstrip("_"))
 
 
 def bus_of(path: Path, fmi: int = 2, kind: Kind = "native", *overrides: str) -> Bus:
