@@ -214,9 +214,8 @@ def test_marino_of_order_one_is_the_observer_of_bastin_and_gevers():
         c = marino.chain(1, SX(100.0), SX(1.0), s.period)
         x, theta = ca.if_else(p.gate > 0, p.x, s.y0), stack(p, "theta", 3)
         psi = s.period * bastin_gevers.regressor(s).T
-        x_new, _, new = marino.advance(
-            c, x, SX(1, 3), theta, psi, s.y1, SX(ca.DM([400.0, 400.0, 800.0]))
-        )
+        gamma = SX(ca.DM([400.0, 400.0, 800.0]))
+        x_new, _, new = marino.advance(c, (x, SX(1, 3), theta), psi, s.y1, gamma)
         step = {
             "x": ca.if_else(gate, x_new, s.y1),
             "gate": gate,
@@ -270,9 +269,8 @@ def test_marino_of_order_two_tends_to_the_printed_observer_of_bastin_and_gevers(
         c = marino.chain(2, SX(lam), SX(zero), s.period)
         psi = marino.driven((s.y0 + s.y1) / 2, s.u, SX(1), s.period)
         m = ca.vertcat(SX(1, 3), stack(p, "m", 1, 3))
-        x, m, theta = marino.advance(
-            c, stack(p, "x", 2), m, stack(p, "theta", 3), psi, s.y1, SX(ca.DM(gamma))
-        )
+        memory = stack(p, "x", 2), m, stack(p, "theta", 3)
+        x, m, theta = marino.advance(c, memory, psi, s.y1, SX(ca.DM(gamma)))
         step = {**unstack("x", x), **unstack("m", m[1, :]), **unstack("theta", theta)}
         return Update(
             step,
