@@ -18,24 +18,12 @@ from standard_records import RECORD_STEP
 
 from bristle.common.errors import SimulationError
 from bristle.common.metrics import mse_percent
+from bristle.harness.metrics.fit import LEAN_PARAMETERS
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.servo import servo_program
 
 Array = NDArray[np.float64]
-LEAN_FREE_PARAMETERS = {
-    "viscous": ("b", "a2"),
-    "coulomb": ("b", "a2", "coulomb.Fc"),
-    "modified": (
-        "b",
-        "a2",
-        "modified.sigma0",
-        "modified.sigma1",
-        "modified.sigma2",
-        "modified.c",
-        "modified.tau",
-    ),
-}
 # acceleration instead of torque; the record holds the voltage after saturation
 FIXED = {"J": 1.0, "u_max": 1e6}
 LOW = {"b": -np.inf, "modified.sigma1": -np.inf, "modified.sigma2": -np.inf}
@@ -47,7 +35,7 @@ NUDGE = 1e-6  # rad/s
 def program(law: str, derivatives: bool) -> Program:
     """Return the lean servo."""
     return servo_program(
-        law, encoder=False, sensitivities=LEAN_FREE_PARAMETERS[law] if derivatives else ()
+        law, encoder=False, sensitivities=LEAN_PARAMETERS[law] if derivatives else ()
     )
 
 
@@ -75,7 +63,7 @@ def fit(
     law: str, u: Array, v: Array, starts: Sequence[Mapping[str, float]], evaluations: int = 30
 ) -> Fitted:
     """Return the best of the fits of the velocity from some starts."""
-    names, scale = LEAN_FREE_PARAMETERS[law], float(np.std(v)) * np.sqrt(len(v))
+    names, scale = LEAN_PARAMETERS[law], float(np.std(v)) * np.sqrt(len(v))
     low = np.array([LOW.get(name, LEAN_LOWER_BOUND) for name in names])
 
     def run(x: Array) -> tuple[Array, Array]:
@@ -147,7 +135,7 @@ def bound(
     Position with white noise of resolution^2/12; the start (theta, v) is unknown, w is at rest.
     Derivatives by v are differences.
     """
-    names = LEAN_FREE_PARAMETERS["modified"]
+    names = LEAN_PARAMETERS["modified"]
     values = {**FIXED, **parameters}
     out, slopes = Native(program("modified", True), values).run(
         RECORD_STEP, {"u": u}, ["theta"], sensitivities=True
