@@ -103,21 +103,21 @@ def make_baseline(
     first = outcome(checked)
     _check_end(checked, first.result)
     reference = first.view.columns()
-    spread, found, runs = Spread(reference), [], []
+    spread, results, runs = Spread(reference), [], []
     for k, way in enumerate(ways, 1):
         tell(way.name, k / (len(ways) + 1))
         again, why = _tried(way)
         runs.append({"name": way.name, "differs": _differing(reference, again), "why": why})
         if again is not None:
             spread.add(again.signals)
-            found.append(again.result)
-    if not found:
+            results.append(again.result)
+    if not results:
         raise BristleError(
             f"{checked.setup.loaded.path}: it cannot be run again,"
             f" {runs[0]['why'] if runs else 'in no way'}"
         )
     return Baseline(
-        first.result, _stored(spread), measured_quantities(plain(first.result), found), runs
+        first.result, _stored(spread), measured_quantities(plain(first.result), results), runs
     )
 
 
@@ -171,21 +171,21 @@ def quantities_of(result: Mapping[str, Any]) -> dict[str, Judged]:
     """Return the numbers of result.json that are judged: of each estimate, and what the servo
     did.
     """
-    found = {}
+    quantities = {}
     for name, estimate in result["estimates"].items():
         for key in JUDGED_ESTIMATE:
             unit = {"final": estimate["unit"], "error_percent": "%", "settling_s": "s"}[key]
             value = _number(estimate[key])
-            found[f"estimates.{name}.{key}"] = Judged(
+            quantities[f"estimates.{name}.{key}"] = Judged(
                 unit, value, why="" if value is not None else _absent(estimate, key)
             )
     for name, each in result.get("behaviour", {}).items():
         value = _number(each["value"])
         why = each.get("why") or _unreadable(each["value"])
-        found[f"behaviour.{name}"] = Judged(
+        quantities[f"behaviour.{name}"] = Judged(
             each["unit"], value, why="" if value is not None else why
         )
-    return found
+    return quantities
 
 
 def _absent(estimate: Mapping[str, Any], key: str) -> str:
@@ -218,22 +218,22 @@ def measured_quantities(
     """Return the judged numbers of a result with tolerances that other results of the same scenario
     measure.
     """
-    found = {}
+    quantities = {}
     for path, each in quantities_of(result).items():
         known = [value for other in others if (value := _number(_value(other, path))) is not None]
         if len(known) != (0 if each.value is None else len(others)):
             why = f"not judged: it exists in {len(known)} of {len(others)} repeated runs"
-            found[path] = Judged(each.unit, each.value, None, why, judged=False)
+            quantities[path] = Judged(each.unit, each.value, None, why, judged=False)
         elif each.value is None:
-            found[path] = each
+            quantities[path] = each
         else:
             spread = max(abs(value - each.value) for value in known)
-            found[path] = Judged(
+            quantities[path] = Judged(
                 each.unit,
                 each.value,
                 SAFETY * spread + least_tolerance(path, each.value, result["step_s"]),
             )
-    return found
+    return quantities
 
 
 def _value(result: Mapping[str, Any], path: str) -> object:
@@ -252,27 +252,29 @@ def least_tolerance(path: str, value: float, step: float) -> float:
 # -- files -----------------------------------------------------------------------------------------
 
 
-def write_baseline(out: Path, name: str, found: Baseline, scenario: str, command: str = "") -> Path:
+def write_baseline(
+    out: Path, name: str, baseline: Baseline, scenario: str, command: str = ""
+) -> Path:
     """Write a baseline into `out/name`, in the place of an older one: all files or none; `command`
     repeats it.
     """
     target = out / name
     refuse_other(target)
-    quantities = {path: vars(each) for path, each in found.quantities.items()}
-    stored = found.signals
+    quantities = {path: vars(each) for path, each in baseline.quantities.items()}
+    stored = baseline.signals
     tree = {
         "scenario": name,
         "safety": SAFETY,
         "rows": len(stored.rows),
-        "steps": found.result["steps"],
-        "step_s": found.result["step_s"],
-        "runs": list(found.runs),
+        "steps": baseline.result["steps"],
+        "step_s": baseline.result["step_s"],
+        "runs": list(baseline.runs),
         "quantities": quantities,
-        "provenance": {**found.result["provenance"], **provenance(), "command": command},
+        "provenance": {**baseline.result["provenance"], **provenance(), "command": command},
     }
     files = {
         "baseline.json": to_json(tree).encode(),
-        "result.json": to_json(plain(found.result)).encode(),
+        "result.json": to_json(plain(baseline.result)).encode(),
         "scenario.toml": scenario.encode(),
         "signals.npz": _packed(stored),
     }

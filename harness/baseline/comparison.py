@@ -167,8 +167,10 @@ def compare_folders(first: Path, second: Path) -> RunComparison:
         if measured
         else (f"{first} is no baseline: allowed is only what the written digits leave open",)
     )
-    found = compare_sides(a, b)
-    return replace(found, first=str(first), second=str(second), notes=(*notes, *found.notes))
+    comparison = compare_sides(a, b)
+    return replace(
+        comparison, first=str(first), second=str(second), notes=(*notes, *comparison.notes)
+    )
 
 
 def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
@@ -177,7 +179,7 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
     """
     result_a, result_b = a.result, b.result
     notes, refused = _origins(result_a, result_b), _refused(result_a, result_b)
-    found = RunComparison(
+    comparison = RunComparison(
         "A",
         "B",
         scenario=str(result_a["scenario"]),
@@ -197,15 +199,15 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
     if not refused and (lost := missing(rows, thinned(rows_of(result_a)))):
         first = lost.first * float(result_a["step_s"])
         line = f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run"
-        found = replace(found, refused=(f"{line} the scenario of B again",))
-    if found.refused:
-        return found
+        comparison = replace(comparison, refused=(f"{line} the scenario of B again",))
+    if comparison.refused:
+        return comparison
     if new := [name for name in b.signals.values if name not in a.signals.values]:
         notes.append(f"signals that only B has, not judged: {', '.join(new)}")
     time = np.asarray(rows * float(result_a["step_s"]), dtype=np.float64)
     courses = _courses(a.signals, b.signals, time, at_a, at_b)
     return replace(
-        found,
+        comparison,
         rows=len(rows),
         signals=tuple(
             judge_signal(name, courses[name])
@@ -265,7 +267,7 @@ def _refused(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _origins(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     """Return in words what is not the same about where two results come from."""
-    found = [
+    lines = [
         f"{what}: {_short(_at(a, path))} in A, {_short(_at(b, path))} in B"
         for path, what in RESULT_ORIGINS
         if _at(a, path) != _at(b, path)
@@ -273,11 +275,11 @@ def _origins(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     for name in dict.fromkeys([*a.get("fmus", {}), *b.get("fmus", {})]):
         hashes = [_at(each, f"fmus.{name}.sha256") for each in (a, b)]
         if hashes[0] != hashes[1]:
-            found.append(
+            lines.append(
                 f"SHA-256 of the FMU of the {name}: {_short(hashes[0])} in A, {_short(hashes[1])}"
                 " in B"
             )
-    return found
+    return lines
 
 
 def _at(result: Mapping[str, Any], path: str) -> object:
@@ -358,10 +360,13 @@ def judge_quantity(path: str, first: Judged, second: Judged | None) -> QuantityV
 # -- files -----------------------------------------------------------------------------------------
 
 
-def write_comparison(found: RunComparison, out: Path) -> Path:
+def write_comparison(comparison: RunComparison, out: Path) -> Path:
     """Write `out/compare.html` and `out/compare.json`; return the first."""
     from bristle.harness.baseline.comparison_page import render
 
     with output_folder(out):
-        files = {"compare.html": render(found).encode(), "compare.json": comparison_json(found)}
+        files = {
+            "compare.html": render(comparison).encode(),
+            "compare.json": comparison_json(comparison),
+        }
         return replace_files(out, files, list(files))[0]

@@ -51,40 +51,40 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_FIGURES = 24  # signals that are drawn, those farthest from their references first
 
 
-def render(found: RunComparison) -> str:
+def render(comparison: RunComparison) -> str:
     """Return the page, of at most `PAGE_BYTES`: figures that do not fit are left out."""
-    moving = _moving(found)
+    moving = _moving(comparison)
     figures: dict[str, Drawing] = {}
-    page = _page(found, figures, len(moving))
+    page = _page(comparison, figures, len(moving))
     for each in moving[:MOST_FIGURES]:
-        course, of = found.courses[each.name], found.units.get(each.name, "")
+        course, of = comparison.courses[each.name], comparison.units.get(each.name, "")
         figures[each.name] = _draw(each, course, of)
-        larger = _page(found, figures, len(moving))
+        larger = _page(comparison, figures, len(moving))
         if len(larger.encode()) > PAGE_BYTES:
             break
         page = larger
     return page
 
 
-def _page(found: RunComparison, figures: Mapping[str, Drawing], moving: int) -> str:
-    inside, judged = counts(found.signals)
+def _page(comparison: RunComparison, figures: Mapping[str, Drawing], moving: int) -> str:
+    inside, judged = counts(comparison.signals)
     return pages.render(
         "bristle.harness.baseline/compare.html",
-        found=found,
+        comparison=comparison,
         inside=inside,
         judged_signals=judged,
-        differences=differences(found),
+        differences=differences(comparison),
         moving=moving,
         figures=figures,
     )
 
 
-def _moving(found: RunComparison) -> list[SignalVerdict]:
+def _moving(comparison: RunComparison) -> list[SignalVerdict]:
     """Return the signals that move, those farthest from their references first."""
     moving = [
         each
-        for each in found.signals
-        if each.name in found.courses and _moves(found.courses[each.name])
+        for each in comparison.signals
+        if each.name in comparison.courses and _moves(comparison.courses[each.name])
     ]
     return sorted(
         moving, key=lambda each: (each.passed, -(each.share if each.share is not None else np.inf))

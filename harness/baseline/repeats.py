@@ -111,7 +111,7 @@ def _moved(setup: RunSetup, unit: str, random: np.random.Generator) -> dict[str,
     their interval has room.
     """
     fmu, given = setup.fmus[unit], setup.values[unit]
-    found: dict[str, Value] = {}
+    starts: dict[str, Value] = {}
     for name in fmu.names("parameter"):
         if not _is_moved(setup, unit, name):
             continue
@@ -119,8 +119,8 @@ def _moved(setup: RunSetup, unit: str, random: np.random.Generator) -> dict[str,
         low, high = fmu.interval(name)
         moved = float(np.nextafter(value, random.choice([-np.inf, np.inf])))
         if value and low <= moved <= high:
-            found[name] = moved
-    return found
+            starts[name] = moved
+    return starts
 
 
 def _is_moved(setup: RunSetup, unit: str, name: str) -> bool:
@@ -155,24 +155,24 @@ def toolchains() -> list[Toolchain]:
     """
     default = find_compiler()
     same = os.path.realpath(shutil.which(default[0]) or default[0])
-    found = [
+    others = [
         Toolchain("without optimisation", default, ("-O0",)),
         *_rounding_otherwise("", default),
     ]
     for name, command in known_compilers().items():
         if command != default and os.path.realpath(command[0]) != same:
-            found += [Toolchain(name, command), *_rounding_otherwise(f"{name}, ", command)]
-    return found
+            others += [Toolchain(name, command), *_rounding_otherwise(f"{name}, ", command)]
+    return others
 
 
 def _rounding_otherwise(name: str, command: tuple[str, ...]) -> list[Toolchain]:
     """Return toolchains that keep the equations and round otherwise: sums in another order,
     products fused with sums.
     """
-    found = [Toolchain(f"{name}sums in another order", command, REORDERED)]
+    others = [Toolchain(f"{name}sums in another order", command, REORDERED)]
     if flags := fused_flags():
-        found.append(Toolchain(f"{name}fused multiplication and addition", command, flags))
-    return found
+        others.append(Toolchain(f"{name}fused multiplication and addition", command, flags))
+    return others
 
 
 def fused_flags() -> tuple[str, ...]:
@@ -217,19 +217,19 @@ def _other_steps(setup: RunSetup) -> list[Repeat]:
     known = [name for name in STEP_PARAMETERS if plant is not None and plant.has(name, "parameter")]
     if plant is None or not known:
         return []
-    found = []
+    repeated = []
     for factor in STEP_FACTORS:
         steps = {
             name: float(np.clip(factor * _given(setup, name), *plant.interval(name)))
             for name in known
         }
         other = replace(setup, values={**setup.values, "plant": {**setup.values["plant"], **steps}})
-        found.append(
+        repeated.append(
             Repeat(
                 f"internal steps and their tolerance times {factor:g}", partial(run_again, other)
             )
         )
-    return found
+    return repeated
 
 
 def _given(setup: RunSetup, name: str) -> float:

@@ -102,26 +102,26 @@ class RunComparison:
         )
 
 
-def comparison_json(found: RunComparison) -> bytes:
+def comparison_json(comparison: RunComparison) -> bytes:
     """Return the content of compare.json."""
     return to_json(
         plain(
             {
-                "scenario": found.scenario,
-                "verdict": "pass" if found.passed else "differs",
-                "first": found.first,
-                "second": found.second,
-                "rows": found.rows,
-                "instants": found.instants,
-                "refused": list(found.refused),
-                "notes": list(found.notes),
-                "signals": [_row(each) for each in found.signals],
-                "quantities": [_row(each) for each in found.quantities],
+                "scenario": comparison.scenario,
+                "verdict": "pass" if comparison.passed else "differs",
+                "first": comparison.first,
+                "second": comparison.second,
+                "rows": comparison.rows,
+                "instants": comparison.instants,
+                "refused": list(comparison.refused),
+                "notes": list(comparison.notes),
+                "signals": [_row(each) for each in comparison.signals],
+                "quantities": [_row(each) for each in comparison.quantities],
                 "provenance": {
                     **provenance(),
-                    "command": found.command,
-                    "first": found.made[0],
-                    "second": found.made[1],
+                    "command": comparison.command,
+                    "first": comparison.made[0],
+                    "second": comparison.made[1],
                 },
             }
         )
@@ -134,13 +134,13 @@ def _row(each: SignalVerdict | QuantityVerdict) -> dict[str, Any]:
     return row
 
 
-def differences(found: RunComparison) -> list[str]:
+def differences(comparison: RunComparison) -> list[str]:
     """Return a line for each thing that differs."""
-    lines = list(found.refused)
-    for signal in (each for each in found.signals if not each.passed):
+    lines = list(comparison.refused)
+    for signal in (each for each in comparison.signals if not each.passed):
         at = "" if signal.time is None else f" at {signal.time:g} s"
         lines.append(f"{signal.name}{at}: {signal.why or f'{signal.value:.6g}'}{_allowed(signal)}")
-    for each in (each for each in found.quantities if each.passed is False):
+    for each in (each for each in comparison.quantities if each.passed is False):
         lines.append(f"{each.path}: {each.why or quantity_text(each)}")
     return lines
 

@@ -83,11 +83,13 @@ class Readings:
     values: Array
 
     @classmethod
-    def of(cls, ports: tuple[Port, ...], found: Sequence[tuple[int, Sequence[float]]]) -> Readings:
+    def of(
+        cls, ports: tuple[Port, ...], readings: Sequence[tuple[int, Sequence[float]]]
+    ) -> Readings:
         """Return readings given one after the other, as row and values."""
         rows, values = (
-            np.array([row for row, _ in found], dtype=np.int64),
-            np.array([each for _, each in found], dtype=float),
+            np.array([row for row, _ in readings], dtype=np.int64),
+            np.array([each for _, each in readings], dtype=float),
         )
         return cls(ports, rows, values.reshape(len(rows), len(ports)))
 
@@ -135,10 +137,10 @@ class BusTrace:
 
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
-        found = self.flags
-        if port not in found.ports:
+        flags = self.flags
+        if port not in flags.ports:
             return np.full(len(self.values), np.nan)
-        return np.repeat(found.values[:, found.ports.index(port)], self._looked)
+        return np.repeat(flags.values[:, flags.ports.index(port)], self._looked)
 
     @cached_property
     def _looked(self) -> NDArray[np.int64]:

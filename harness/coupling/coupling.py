@@ -109,11 +109,11 @@ def coupling(
             raise setup.loaded.error(
                 "record", None, "a measured record couples nothing; give a scenario with a [plant]"
             )
-        found = compare(setup, checked.bus, progress or (lambda name, share: None))
+        cost = compare(setup, checked.bus, progress or (lambda name, share: None))
         made = provenance()
-        files = {"coupling.json": _json(found, made), "report.html": _page(found, made)}
+        files = {"coupling.json": _json(cost, made), "report.html": _page(cost, made)}
         replace_files(out, files, list(files))
-    return found
+    return cost
 
 
 def compare(setup: RunSetup, bus: Bus, progress: Told) -> CouplingCost:
@@ -250,17 +250,17 @@ def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
 
     Nothing is said where a run with one of these steps was left out.
     """
-    found: dict[str, float | None] = {}
+    orders: dict[str, float | None] = {}
     for name in divisions[0].errors if len(divisions) == len(DIVISIONS) else ():
         ends = [each.errors[name].rms for each in (divisions[0], divisions[-1])]
         small = divisions[-1].errors[name].relative < LEAST_ERROR
-        found[name] = (
+        orders[name] = (
             None if small else math.log(ends[0] / ends[1]) / math.log(DIVISIONS[-1] / DIVISIONS[0])
         )
-    return found
+    return orders
 
 
-def _json(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
+def _json(cost: CouplingCost, made: Mapping[str, Any]) -> bytes:
     schemes = [
         {
             "name": s.name,
@@ -268,35 +268,35 @@ def _json(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
             "signals": {k: vars(e) for k, e in s.errors.items()},
             "estimates": dict(s.estimates),
         }
-        for s in found.schemes
+        for s in cost.schemes
     ]
     content: dict[str, Any] = {
-        "scenario": found.scenario,
-        "step_s": found.step,
+        "scenario": cost.scenario,
+        "step_s": cost.step,
         "schemes": schemes,
-        "orders": dict(found.orders),
+        "orders": dict(cost.orders),
         "refined": {
-            "step_s": found.step / REFINED,
-            "verdict": found.verdict,
-            "estimates": dict(found.refined),
+            "step_s": cost.step / REFINED,
+            "verdict": cost.verdict,
+            "estimates": dict(cost.refined),
         },
-        "notes": list(found.notes),
+        "notes": list(cost.notes),
         "provenance": made,
     }
     return to_json(content).encode()
 
 
-def _page(found: CouplingCost, made: Mapping[str, Any]) -> bytes:
-    known = list(found.refined)
+def _page(cost: CouplingCost, made: Mapping[str, Any]) -> bytes:
+    known = list(cost.refined)
     ways = [
-        ("refined", found.verdict, found.refined),
-        *((each.name, each.verdict, each.estimates) for each in found.schemes),
+        ("refined", cost.verdict, cost.refined),
+        *((each.name, each.verdict, each.estimates) for each in cost.schemes),
     ]
     return pages.render(
         "bristle.harness.coupling/report.html",
-        found=found,
+        cost=cost,
         made=made,
-        refined_step=found.step / REFINED,
+        refined_step=cost.step / REFINED,
         known=known,
         ends=[(name, judged, [values.get(e) for e in known]) for name, judged, values in ways],
     ).encode()

@@ -145,8 +145,8 @@ def repeat(
     with output_folder(out):
         results.refuse_strange(target)
         archive, described = _Fmu(fmu), Fmu(fmu, foreign=True)
-        found = list(_inside(archive) if source is None else _beside(source))
-        done = [_repeated(described, each, timeout, progress) for each in found]
+        experiments = list(_inside(archive) if source is None else _beside(source))
+        done = [_repeated(described, each, timeout, progress) for each in experiments]
         replayed = ReplayedExperiments(target, tuple(done), _changed(archive))
         results.write(out, target.name, _files(fmu, replayed))
     return replayed
@@ -439,7 +439,7 @@ def _files(fmu: Path, replayed: ReplayedExperiments) -> dict[str, str | bytes]:
     page = pages.render(
         "bristle.harness.exchange/experiments.html",
         fmu=fmu.name,
-        found=replayed,
+        replayed=replayed,
         signals=[signal for each in replayed.experiments for signal in each.agreement],
         files=list(files),
         made=made | {"fmu_sha256": about["sha256"]},

@@ -75,13 +75,13 @@ def export(
             if setup.stimuli and not _tabulated(setup):
                 fmus[STIMULI] = _source_fmu(setup, Path(folder), platforms)
             bus = _bus_of(checked.bus, fmus)
-            found = _reference(replace(checked, bus=bus))
+            reference = _reference(replace(checked, bus=bus))
             files = {
-                f"{unit}.fmu": _with_experiments(file, unit, bus, setup, found)
+                f"{unit}.fmu": _with_experiments(file, unit, bus, setup, reference)
                 for unit, file in fmus.items()
             }
         # the package, and the same files beside it
-        system, content = _system(setup, bus), _content(setup, found)
+        system, content = _system(setup, bus), _content(setup, reference)
         resources = {f"resources/{file}": data for file, data in files.items()} | content
         written = {
             f"{name}.ssp": archive_bytes(package_files(system) | resources),
@@ -105,13 +105,13 @@ def _check_exportable(setup: RunSetup) -> None:
 
 def _reference(checked: Checked) -> Outcome:
     """Run a scenario as the reference of its package, for which it must reach its end."""
-    found = outcome(checked)
-    if (failure := found.view.trace.failure) is not None:
+    reference = outcome(checked)
+    if (failure := reference.view.trace.failure) is not None:
         raise BristleError(
             f"{checked.setup.loaded.path}: the run ends at {failure.time:g} s: {failure.message};"
             " export one that ends well"
         )
-    return found
+    return reference
 
 
 def _refuse_other(out: Path, name: str) -> None:
@@ -173,7 +173,9 @@ def _own_fmu(setup: RunSetup, name: str, folder: Path, platforms: str) -> Path:
     )
 
 
-def _with_experiments(file: Path, name: str, bus: Bus, setup: RunSetup, found: Outcome) -> bytes:
+def _with_experiments(
+    file: Path, name: str, bus: Bus, setup: RunSetup, reference: Outcome
+) -> bytes:
     """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as
     it is.
     """
@@ -181,8 +183,10 @@ def _with_experiments(file: Path, name: str, bus: Bus, setup: RunSetup, found: O
         return file.read_bytes()
     archive = Archive(file)
     content = {each: archive.read(each) for each in archive.names}
-    experiments = [_part_of_run(name, bus, setup, found.view.trace)] if name in setup.fmus else []
-    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
+    experiments = (
+        [_part_of_run(name, bus, setup, reference.view.trace)] if name in setup.fmus else []
+    )
+    about = {key: reference.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
     return archive_bytes(
         {
             **content,
@@ -301,18 +305,18 @@ def _readme(system: SystemStructure) -> str:
     )
 
 
-def _content(setup: RunSetup, found: Outcome) -> dict[str, bytes]:
+def _content(setup: RunSetup, reference: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
-    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
+    about = {key: reference.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
     # command and folder name folders of this machine
     made = {
         key: each
-        for key, each in found.result["provenance"].items()
+        for key, each in reference.result["provenance"].items()
         if key not in {"command", "folder"}
     }
     about |= {"provenance": made}
     files = {
-        REFERENCE_SIGNALS: signals_csv(found.view.trace).encode(),
+        REFERENCE_SIGNALS: signals_csv(reference.view.trace).encode(),
         VERDICT: to_json(about).encode(),
     }
     if _tabulated(setup):

@@ -101,9 +101,9 @@ def replay(
                 f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
             )
         )
-        found = ReplayedPackage(out / path.stem, agreement, failure, compared)
-        results.write(out, path.stem, _replay_files(package, found, trace))
-    return found
+        replayed = ReplayedPackage(out / path.stem, agreement, failure, compared)
+        results.write(out, path.stem, _replay_files(package, replayed, trace))
+    return replayed
 
 
 def _replay_bus(package: SystemPackage, folder: Path) -> Bus:
@@ -202,14 +202,14 @@ def _agreement(package: SystemPackage, trace: BusTrace) -> tuple[SignalAgreement
 
 
 def _replay_files(
-    package: SystemPackage, found: ReplayedPackage, trace: BusTrace
+    package: SystemPackage, replayed: ReplayedPackage, trace: BusTrace
 ) -> dict[str, str | bytes]:
     recorded = _recorded(package)
     tree = {
         "package": package.path.name,
-        "verdict": found.verdict,
-        "failure": found.failure,
-        "signals": rows_of(found.agreement),
+        "verdict": replayed.verdict,
+        "failure": replayed.failure,
+        "signals": rows_of(replayed.agreement),
     }
     made = provenance()
     content = to_json({**tree, "recorded": recorded, "provenance": made})
@@ -219,7 +219,7 @@ def _replay_files(
         "report.html": pages.render(
             "bristle.harness.exchange/replay.html",
             package=package.path.name,
-            found=found,
+            replayed=replayed,
             made=made,
         ),
     }

@@ -64,21 +64,21 @@ def agreement(
             f"the reference is from {at[0]:g} to {at[-1]:g} s, the run from {time[0]:g} to"
             f" {time[-1]:g} s"
         )
-    found = []
+    agreements = []
     for name, expected in columns.items():
         got = signals.get(name)
         if got is None or outside:
-            found.append(SignalAgreement(name, None, 0.0, limit, outside or "no such output"))
+            agreements.append(SignalAgreement(name, None, 0.0, limit, outside or "no such output"))
             continue
         size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
         low, high = _range(at, time, got, slack)
         distance = np.maximum(np.maximum(low - expected, expected - high), 0.0) / size
         worst = int(np.argmax(np.where(np.isnan(distance), np.inf, distance)))
         value = float(distance[worst])
-        found.append(
+        agreements.append(
             SignalAgreement(name, value if np.isfinite(value) else None, float(at[worst]), limit)
         )
-    return tuple(found)
+    return tuple(agreements)
 
 
 def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array]:
@@ -94,11 +94,11 @@ def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array
     return both.min(axis=0), both.max(axis=0)
 
 
-def verdict_of(failure: object, compared: bool, found: Sequence[SignalAgreement]) -> str:
+def verdict_of(failure: object, compared: bool, signals: Sequence[SignalAgreement]) -> str:
     """Return ``pass``, ``fail`` (also of a reference with nothing to compare), or ``ran`` where
     there is no reference.
     """
-    if failure or not all(each.holds for each in found) or (compared and not found):
+    if failure or not all(each.holds for each in signals) or (compared and not signals):
         return "fail"
     return "pass" if compared else "ran"
 
@@ -133,7 +133,7 @@ def signals_text(trace: BusTrace, names: Sequence[str]) -> str:
     )
 
 
-def rows_of(found: Sequence[SignalAgreement]) -> list[dict[str, Any]]:
+def rows_of(signals: Sequence[SignalAgreement]) -> list[dict[str, Any]]:
     """Return them as result.json has them."""
     return [
         {
@@ -144,5 +144,5 @@ def rows_of(found: Sequence[SignalAgreement]) -> list[dict[str, Any]]:
             "pass": e.holds,
             "why": e.why,
         }
-        for e in found
+        for e in signals
     ]

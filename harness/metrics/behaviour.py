@@ -77,15 +77,15 @@ def stick_intervals(v: Array, h: float) -> list[tuple[int, int]]:
 
 def _sticking(motion: PlantMotion) -> dict[str, Quantity]:
     v, force = motion.signals["v"], motion.signals.get("F")
-    found = stick_intervals(v, motion.h)
-    if not found:
+    intervals = stick_intervals(v, motion.h)
+    if not intervals:
         why = f"it never stands still for {STICK_SECONDS:g} s"
         return {
             "stick_share": Quantity("1", None, why),
             "break_away_torque": Quantity(motion.torque_unit, None, why),
         }
-    share = Quantity("1", sum(end - first for first, end in found) / len(v))
-    left = [(first, end) for first, end in found if end < len(v)]
+    share = Quantity("1", sum(end - first for first, end in intervals) / len(v))
+    left = [(first, end) for first, end in intervals if end < len(v)]
     if force is None or not left:
         why = (
             "the plant has no output F"

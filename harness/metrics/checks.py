@@ -143,15 +143,15 @@ def check_quantities(parameters: Sequence[str], baselines: Sequence[str]) -> lis
     the fitted models.
     """
     names = {"PARAMETER": parameters, "STATE": STATES, "BASELINE": baselines}
-    found = []
+    paths = []
     for path in CHECK_QUANTITIES:
         stands = _NAMES.search(path)
-        found += (
+        paths += (
             [path]
             if stands is None
             else [path.replace(stands[0], name) for name in names[stands[0]]]
         )
-    return found
+    return paths
 
 
 def look_up(result: Mapping[str, Any], path: str) -> object:
@@ -193,8 +193,8 @@ def validity_checks(result: Mapping[str, Any], most: float | None) -> list[Check
         return checks
     if most is not None:
         checks.append(Check(name="innovation", quantity="innovation", max=most))
-    found = list(result["estimates"])
-    needed = [name for name in BASIC if name in found] or found
+    estimated = list(result["estimates"])
+    needed = [name for name in BASIC if name in estimated] or estimated
     return checks + [
         Check(name=f"{name} valid", quantity=f"estimates.{name}.valid", min=1) for name in needed
     ]

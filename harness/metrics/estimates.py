@@ -106,11 +106,11 @@ def true_values(
     from outside, which adds to the plant's own.
     """
     out = {}
-    found = trace.flags.last
-    for (unit, name), value in found.items():
+    flags = trace.flags.last
+    for (unit, name), value in flags.items():
         if unit != "plant" or name.endswith("_valid") or not name.startswith("true."):
             continue
-        if not found.get((unit, f"{name}_valid"), 0.0) or not math.isfinite(value):
+        if not flags.get((unit, f"{name}_valid"), 0.0) or not math.isfinite(value):
             continue
         short = name.removeprefix("true.")
         scale = normal if short in LOAD_PROPORTIONAL else 1.0
@@ -173,7 +173,7 @@ def courses(trace: BusTrace, units: Mapping[str, str]) -> dict[str, Course]:
     It estimates what it ever called valid, or published as another number than 0, or with a
     standard deviation.
     """
-    said, found = ("observer", "adapted"), {}
+    said, published = ("observer", "adapted"), {}
     flags = trace.flags.last
     adapted = bool(flags[said]) if said in flags else None
     for name in estimated_parameters(trace.record, flags):
@@ -181,8 +181,8 @@ def courses(trace: BusTrace, units: Mapping[str, str]) -> dict[str, Course]:
         said_valid = trace.flag(valid)
         if said_valid.any() or trace.says_something(hat) or trace.says_something(sd):
             hats = np.ascontiguousarray(trace[hat])  # which is read several times
-            found[name] = Course(hats, said_valid, trace.get(sd), adapted, units.get(name, "1"))
-    return found
+            published[name] = Course(hats, said_valid, trace.get(sd), adapted, units.get(name, "1"))
+    return published
 
 
 def estimates(

@@ -165,9 +165,9 @@ def regression(data: Data, coulomb: bool = True) -> tuple[float, float, float]:
     rate = REGRESSION_FILTER * (data.y - v)
     columns = [-v, smooth(data.u), *([-smooth(np.sign(data.y))] if coulomb else [])]
     fast = np.abs(v) > FAST_SHARE * float(np.sqrt(np.mean(v**2)))
-    found, *_ = np.linalg.lstsq(np.column_stack(columns)[fast], rate[fast], rcond=None)
-    a2, b = float(found[0]), float(found[1])
-    return a2, b, float(found[2]) if coulomb else 0.0
+    coefficients, *_ = np.linalg.lstsq(np.column_stack(columns)[fast], rate[fast], rcond=None)
+    a2, b = float(coefficients[0]), float(coefficients[1])
+    return a2, b, float(coefficients[2]) if coulomb else 0.0
 
 
 def starts(model: str, data: Data) -> list[dict[str, float]]:
@@ -311,11 +311,11 @@ def fit(
         points = _distinct(
             sorted(
                 (_solve(model, head, start, 15, 1e-3) for start in points),
-                key=lambda found: found[0],
+                key=lambda solution: solution[0],
             )
         )
     best = min(
-        (_solve(model, data, start, 25, 1e-4) for start in points), key=lambda found: found[0]
+        (_solve(model, data, start, 25, 1e-4) for start in points), key=lambda solution: solution[0]
     )
     _, parameters, stuck = best
     return LeanFit(

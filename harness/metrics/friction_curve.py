@@ -42,9 +42,9 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
         [pushed] = drive.run(push[:, None], np.array([[*values.values()]]), h)
         count = int(np.argmax(pushed[:, 0] > CURVE_SPEED))
         series = np.concatenate([push[:count], np.zeros(round(2.0 / h))])
-        [found] = drive.run(series[:, None], np.array([[*values.values()]]), h)
+        [slowed] = drive.run(series[:, None], np.array([[*values.values()]]), h)
     finally:
         drive.close()
-    v, level = found[count + 2 :].T
+    v, level = slowed[count + 2 :].T
     end = int(np.argmax(~(v > SLOWEST))) if np.any(~(v > SLOWEST)) else len(v)
     return v[:end], level[:end]

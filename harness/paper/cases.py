@@ -82,10 +82,10 @@ def _shortened(path: Path, share: float) -> list[str]:
 def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> SchemeCase:
     path, order = scenario_path(key.scheme, key.plant), key.order
     own = [] if order == FILTER_ORDERS[0] else [f"controller.parameters.order={order}"]
-    checked, found = run_scenario(
+    checked, run_outcome = run_scenario(
         path, [*own, *_shortened(path, share)], lambda text: say(f"order {order}, {text}")
     )
-    setup, view, validated = checked.setup, found.view, found.validated
+    setup, view, validated = checked.setup, run_outcome.view, run_outcome.validated
     # the second record, on which all schemes are scored
     if second is None and validated is not None:
         second = Data(validated.voltage, validated.measured, setup.h)
@@ -94,7 +94,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     measured: Array = np.zeros(0) if second is None else second.y
     seconds: Array = np.asarray(np.arange(len(measured)) * setup.h)
     shown = _inside(seconds, "validation_window", share)
-    prediction = _predicted(checked, found, second)
+    prediction = _predicted(checked, run_outcome, second)
     predictions = (
         {}
         if validated is None
@@ -106,7 +106,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     published = {name: course.hat for name, course in view.published.items()}
     return SchemeCase(
         key,
-        found.result,
+        run_outcome.result,
         path,
         str(setup.scenario.observer.method),
         setup.values["plant"],
@@ -125,7 +125,7 @@ def case_of(key: Key, share: float, say: Callable[[str], None], second: Data | N
     )
 
 
-def _predicted(checked: Checked, found: Outcome, second: Data | None) -> Prediction:
+def _predicted(checked: Checked, run_outcome: Outcome, second: Data | None) -> Prediction:
     """Score what an observer published last, as the paper does, whether the observer itself trusts
     it or not.
 
@@ -134,12 +134,12 @@ def _predicted(checked: Checked, found: Outcome, second: Data | None) -> Predict
     """
     setup, estimates, failed = (
         checked.setup,
-        found.result["estimates"],
-        found.result.get("diverged"),
+        run_outcome.result["estimates"],
+        run_outcome.result.get("diverged"),
     )
     last = {
         name: {"valid": True, "final": float(course.hat[-1])}
-        for name, course in found.view.published.items()
+        for name, course in run_outcome.view.published.items()
     }
     # what was published last makes a model, or step 1 alone does
     known = given_parameters(setup, setup.values["observer"])
@@ -183,8 +183,8 @@ def _parameter(setup: RunSetup, name: str) -> float | None:
 
 
 def _all_parameters(setup: RunSetup, names: Sequence[str]) -> list[float] | None:
-    found = [value for name in names if (value := _parameter(setup, name)) is not None]
-    return found if len(found) == len(names) else None
+    values = [value for name in names if (value := _parameter(setup, name)) is not None]
+    return values if len(values) == len(names) else None
 
 
 def curves_of(cases: Mapping[Key, SchemeCase]) -> dict[str, tuple[Array, Array]]:

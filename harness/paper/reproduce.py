@@ -72,15 +72,15 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
     say, begin = tell or (lambda text, done: None), time.perf_counter()
     with output_folder(out, "reproduce.json"):
         check_no_folder(out, REPRODUCE_FILES)
-        found = compute(say, share)
-        found.content["provenance"] = {
+        comparison = compute(say, share)
+        comparison.content["provenance"] = {
             **provenance(),
             "command": shlex.join(["bristle", "reproduce", "--out", str(out)]),
         }
-        found.content["wall_s"] = round(time.perf_counter() - begin, 2)
+        comparison.content["wall_s"] = round(time.perf_counter() - begin, 2)
         say("report", 0.97)
-        figures = draw(found)
-        content = plain(found.content)
+        figures = draw(comparison)
+        content = plain(comparison.content)
         files = {"reproduce.json": to_json(content), "report.html": render(content, figures)}
         files |= {f"{name}.svg": svg for name, svg in figures.items()}
         replace_files(out, {name: text.encode() for name, text in files.items()}, REPRODUCE_FILES)
@@ -106,8 +106,8 @@ def compute(say: Tell, share: float = 1.0) -> PaperComparison:
         baseline = cases.get(Key(BASELINE_SCHEME, key.plant, key.order))
         cases[key] = case_of(key, share, tell, None if baseline is None else baseline.second)
     say("gate", len(wanted) / (len(wanted) + 1))
-    _, found = run_scenario(find_scenario(Path(HEURISTIC)), ())
-    heuristic = found.result["estimates"]["vc"]["final"]
+    _, run_outcome = run_scenario(find_scenario(Path(HEURISTIC)), ())
+    heuristic = run_outcome.result["estimates"]["vc"]["final"]
     return PaperComparison(cases, curves_of(cases), _content(cases, heuristic, share), share)
 
 
@@ -173,8 +173,8 @@ def _estimates(case: SchemeCase) -> dict[str, Any]:
 
 def _gain(key: str, case: SchemeCase) -> list[float] | None:
     """Return gains in the printed unit."""
-    found = case.gains[key]
-    return [math.degrees(value) for value in found] if found and key == "vc" else found
+    gains = case.gains[key]
+    return [math.degrees(value) for value in gains] if gains and key == "vc" else gains
 
 
 def _run_entry(case: SchemeCase) -> dict[str, Any]:
@@ -216,7 +216,7 @@ def _remark3(cases: Mapping[Key, SchemeCase]) -> dict[str, Any]:
     """
     plant = cases[Key(BASELINE_SCHEME, "L0", FILTER_ORDERS[0])].values
     stiffness, low, high = (float(plant[f"lugre.{name}"]) for name in ("sigma0", "Fs", "Fc"))
-    found = []
+    rows = []
     for order in FILTER_ORDERS:
         row: dict[str, Any] = {"order": order}
         for scheme in SCHEMES:
@@ -224,10 +224,10 @@ def _remark3(cases: Mapping[Key, SchemeCase]) -> dict[str, Any]:
             row[scheme] = None if "diverged" in case.result else case.last.get("c")
         fits = cases[Key(BASELINE_SCHEME, "L0", order)].result.get("validation", {}).get("fits", {})
         row["floor"] = fits["floor"]["parameters"]["modified.c"] if "floor" in fits else None
-        found.append(row)
+        rows.append(row)
     return {
         "plant": "L0",
         "unit": "1/rad",
         "interval": [stiffness / low, stiffness / high],
-        "c": found,
+        "c": rows,
     }

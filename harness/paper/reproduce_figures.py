@@ -50,7 +50,7 @@ DASHED: Any = (0, (4, 3))
 SHOWN_SPEED = 100.0  # deg/s: right end of Fig. 1
 
 
-def draw(found: PaperComparison) -> dict[str, Drawing]:
+def draw(comparison: PaperComparison) -> dict[str, Drawing]:
     """Return the figures by name, each an <svg> element."""
     from matplotlib import rc_context
 
@@ -64,24 +64,24 @@ def draw(found: PaperComparison) -> dict[str, Drawing]:
             ("figure_5", _step2),
             ("figure_6", _validation),
         ):
-            made[name] = svg(painter(found), f"reproduce-{name}")
+            made[name] = svg(painter(comparison), f"reproduce-{name}")
     return made
 
 
 def _case(
-    found: PaperComparison, scheme: str, plant: str = "S", order: int = FILTER_ORDERS[0]
+    comparison: PaperComparison, scheme: str, plant: str = "S", order: int = FILTER_ORDERS[0]
 ) -> SchemeCase:
-    return found.cases[Key(scheme, plant, order)]
+    return comparison.cases[Key(scheme, plant, order)]
 
 
 # -- eq. (25) --------------------------------------------------------------------------------------
 
 
-def _eq25(found: PaperComparison) -> Any:
+def _eq25(comparison: PaperComparison) -> Any:
     """Draw eq. (25) of all models, a row for each record, with the interval that the paper
     prints.
     """
-    rows = found.content["eq25"]
+    rows = comparison.content["eq25"]
     figure = new_figure(11.0, 0.52 * len(rows) + 1.35)
     [ax] = [figure.subplots()]
     figure.subplots_adjust(left=1.75 / 11.0, top=1 - 0.72 / figure.get_size_inches()[1])
@@ -125,10 +125,10 @@ def _eq25(found: PaperComparison) -> Any:
 # -- Figure 1 --------------------------------------------------------------------------------------
 
 
-def _stribeck(found: PaperComparison) -> Any:
+def _stribeck(comparison: PaperComparison) -> Any:
     figure = new_figure(11.0, 3.9)
     ax = figure.subplots()
-    plant = _case(found, BASELINE_SCHEME, "L0").values
+    plant = _case(comparison, BASELINE_SCHEME, "L0").values
     level = {name: float(plant[f"lugre.{name}"]) / float(plant["J"]) for name in ("Fs", "Fc")}
     v0 = float(plant["lugre.vs"]) * DEGREES
     for name, text in (("Fs", "a₀ + a₁"), ("Fc", "a₀")):
@@ -137,7 +137,7 @@ def _stribeck(found: PaperComparison) -> Any:
     ax.axvline(v0, color=GREY, linestyle=DASHED, linewidth=0.9)
     top = 1.25 * level["Fs"]
     ax.text(v0, 0.02 * top, " v₀", ha="left", va="bottom", color=INK)
-    for name, (v, curve) in found.curves.items():
+    for name, (v, curve) in comparison.curves.items():
         label = "original LuGre law, set L0" if name == "plant" else LETTERS[name]
         style = (
             {"linewidth": 5.0, "color": TRUTH}
@@ -155,13 +155,13 @@ def _stribeck(found: PaperComparison) -> Any:
 # -- Figure 3 --------------------------------------------------------------------------------------
 
 
-def _reference(found: PaperComparison) -> Any:
+def _reference(comparison: PaperComparison) -> Any:
     figure = new_figure(11.0, 3.2)
     axes = figure.subplots(1, len(FILTER_ORDERS), sharey=True)
     figure.subplots_adjust(wspace=0.08)
     for ax, order in zip(axes, FILTER_ORDERS, strict=True):
-        case = _case(found, BASELINE_SCHEME, order=order)
-        time_panel(ax, "reference", found.window("reference_window"))
+        case = _case(comparison, BASELINE_SCHEME, order=order)
+        time_panel(ax, "reference", comparison.window("reference_window"))
         time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE_COLOUR, linewidth=1.1)
         set_title(
             ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s"
@@ -175,26 +175,26 @@ def _reference(found: PaperComparison) -> Any:
 # -- Figures 4 and 5 -------------------------------------------------------------------------------
 
 
-def _step1(found: PaperComparison) -> Any:
-    return _estimates(found, STEP1, "step1", "α₂ in s⁻¹, b in rad/(s²·V)")
+def _step1(comparison: PaperComparison) -> Any:
+    return _estimates(comparison, STEP1, "step1", "α₂ in s⁻¹, b in rad/(s²·V)")
 
 
-def _step2(found: PaperComparison) -> Any:
-    return _estimates(found, STEP2, "step2", "σ in s⁻², c in rad⁻¹")
+def _step2(comparison: PaperComparison) -> Any:
+    return _estimates(comparison, STEP2, "step2", "σ in s⁻², c in rad⁻¹")
 
 
-def _estimates(found: PaperComparison, colours: dict[str, str], step: str, unit: str) -> Any:
+def _estimates(comparison: PaperComparison, colours: dict[str, str], step: str, unit: str) -> Any:
     """Draw estimates over time, a column for each scheme, on the axes of the paper; dashed are the
     levels that it prints.
     """
     figure = new_figure(11.0, 3.7)
     axes = figure.subplots(1, len(SCHEMES), sharey=True)
     figure.subplots_adjust(wspace=0.08)
-    first, last = found.window(f"{step}_window")
+    first, last = comparison.window(f"{step}_window")
     larger = TAKEN_LARGER[step]
     low, high = (larger * value for value in PRINTED[f"{step}_range"].values)
     for ax, scheme in zip(axes, SCHEMES, strict=True):
-        case = _case(found, scheme)
+        case = _case(comparison, scheme)
         begin = case.begin if step == "step2" else 0.0
         time_panel(ax, step, (first, last))
         for name, colour in colours.items():
@@ -233,7 +233,7 @@ def _marks(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
 # -- Figure 6 --------------------------------------------------------------------------------------
 
 
-def _validation(found: PaperComparison) -> Any:
+def _validation(comparison: PaperComparison) -> Any:
     """Draw measured and predicted velocity, a panel for each scheme and one for the linear model,
     and the errors below.
     """
@@ -243,16 +243,16 @@ def _validation(found: PaperComparison) -> Any:
     grid = figure.add_gridspec(
         5, 2, height_ratios=[2.0, 0.9, 0.42, 2.0, 0.9], hspace=0.12, wspace=0.08
     )
-    first, last = found.window("validation_window")
+    first, last = comparison.window("validation_window")
     for k, (scheme, model, title, colour) in enumerate(panels):
         row, column = 3 * (k // 2), k % 2
         top = figure.add_subplot(grid[row, column])
         low = figure.add_subplot(grid[row + 1, column])
-        case = _case(found, scheme)
+        case = _case(comparison, scheme)
         for ax in (top, low):
             time_panel(ax, "second record", (first, last))
         _overlay(top, low, case, model, colour)
-        row_of = found.content["eq25"][0]
+        row_of = comparison.content["eq25"][0]
         score = row_of["linear" if model == "linear" else scheme]
         set_title(top, title)
         alone = (

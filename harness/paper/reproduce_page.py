@@ -47,10 +47,10 @@ def render(content: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     )
 
 
-def _estimate(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+def _estimate(name: str, estimates: Mapping[str, Any]) -> dict[str, Any]:
     """Return a parameter as printed and as each scheme finds it, and an estimate that knows the
     truth, None if none does.
     """
-    each = {scheme: found[scheme].get(name) for scheme in SCHEMES}
+    each = {scheme: estimates[scheme].get(name) for scheme in SCHEMES}
     known = (e for e in each.values() if e is not None and e["true"] is not None)
-    return {"printed": PRINTED[name], "found": each, "truth": next(known, None)}
+    return {"printed": PRINTED[name], "identified": each, "truth": next(known, None)}

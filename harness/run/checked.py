@@ -124,16 +124,16 @@ def check_estimated(setup: RunSetup) -> None:
         for i, each in enumerate(setup.scenario.checks)
         if each.quantity.split(".")[0] in ESTIMATED
     }
-    found = estimated(method) if named else []
+    known = estimated(method) if named else []
     for i, quantity in named.items():
         part, name, _ = quantity.split(".")
-        if name not in found:
+        if name not in known:
             kind = (
                 STATES
                 if part == "states"
-                else [each for each in found if observer.has(f"{each}_valid", "output")]
+                else [each for each in known if observer.has(f"{each}_valid", "output")]
             )
-            others = [each for each in found if each in kind]
+            others = [each for each in known if each in kind]
             advice = (
                 f"it estimates {', '.join(others) or 'none'}: check one of these, or choose another"
                 " method"

@@ -85,9 +85,9 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def _tracking(pictures: Pictures) -> str:
-    found = pictures.tracking
-    assert found is not None
-    with_it, without = (DEGREES * _rms(error) for error in (found.compensated, found.alone))
+    tracking = pictures.tracking
+    assert tracking is not None
+    with_it, without = (DEGREES * _rms(error) for error in (tracking.compensated, tracking.alone))
     return (
         f"tracking error {with_it:.3g} deg/s rms with compensation, {without:.3g} deg/s rms with"
         " the controller alone"
@@ -104,17 +104,18 @@ def _friction(pictures: Pictures) -> str:
 
 
 def _validation(pictures: Pictures) -> str:
-    found = pictures.validation
-    assert found is not None
+    validation = pictures.validation
+    assert validation is not None
     errors = {
-        name: DEGREES * _rms(each - found.measured) for name, each in found.predictions.items()
+        name: DEGREES * _rms(each - validation.measured)
+        for name, each in validation.predictions.items()
     }
     words = [
         f"{MODEL_LABELS[name]} is off by {error:.3g} deg/s rms"
         for name, error in errors.items()
         if math.isfinite(error)
     ]
-    return f"velocity {_range(DEGREES * found.measured, 'deg/s')}; " + ", ".join(words)
+    return f"velocity {_range(DEGREES * validation.measured, 'deg/s')}; " + ", ".join(words)
 
 
 def _models(pictures: Pictures) -> str:

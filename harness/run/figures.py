@@ -246,20 +246,22 @@ def _signals(pictures: Pictures) -> Any:
 
 
 def _tracking(pictures: Pictures) -> Any:
-    found = pictures.tracking
-    if found is None or len(found.time) < 2:
+    tracking = pictures.tracking
+    if tracking is None or len(tracking.time) < 2:
         return None
     figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1.3])
-    time = found.time
+    time = tracking.time
     for ax in (top, bottom):
         time_panel(ax, part=_part(time))
-    time_curve(top, time, found.reference * DEGREES, REFERENCE_COLOUR, "reference", linewidth=0.9)
+    time_curve(
+        top, time, tracking.reference * DEGREES, REFERENCE_COLOUR, "reference", linewidth=0.9
+    )
     for error, colour, label in (
-        (found.alone, OTHER, "controller alone"),
-        (found.compensated, ESTIMATE, "with compensation"),
+        (tracking.alone, OTHER, "controller alone"),
+        (tracking.compensated, ESTIMATE, "with compensation"),
     ):
-        time_curve(top, time, (found.reference - error) * DEGREES, colour, linewidth=1.0)
+        time_curve(top, time, (tracking.reference - error) * DEGREES, colour, linewidth=1.0)
         time_curve(bottom, time, error * DEGREES, colour, label, linewidth=1.0)
     bottom.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     top.legend(loc="upper right", bbox_to_anchor=(1.0, 1.2))
@@ -324,22 +326,22 @@ def _friction(pictures: Pictures) -> Any:
 
 
 def _validation(pictures: Pictures) -> Any:
-    found = pictures.validation
-    if found is None:
+    validation = pictures.validation
+    if validation is None:
         return None
     figure = new_figure(11.0, 4.2)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1])
-    time = found.time
+    time = validation.time
     for ax in (top, low):
         time_panel(ax, "second record", _part(time))
     for name in ("linear", "coulomb", "floor", "model"):
-        if name in found.predictions:
-            error = (found.predictions[name] - found.measured) * DEGREES
+        if name in validation.predictions:
+            error = (validation.predictions[name] - validation.measured) * DEGREES
             time_curve(low, time, error, MODEL_COLOURS[name], MODEL_LABELS[name], linewidth=1.0)
-    if "model" in found.predictions:
-        model = found.predictions["model"] * DEGREES
+    if "model" in validation.predictions:
+        model = validation.predictions["model"] * DEGREES
         time_curve(top, time, model, ESTIMATE, MODEL_LABELS["model"], linewidth=2.4)
-    time_curve(top, time, found.measured * DEGREES, TRUTH, "plant", linewidth=0.9)
+    time_curve(top, time, validation.measured * DEGREES, TRUTH, "plant", linewidth=0.9)
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     set_labels(top, y="velocity, deg/s")
     set_labels(low, x="time, s (second record, open loop)", y="error, deg/s")

@@ -59,9 +59,9 @@ class Pictures:
         return f"velocity, {SPEED_SCALES[self.rig.position][1]}"
 
 
-def pictures_of(found: Outcome) -> Pictures:
+def pictures_of(run_outcome: Outcome) -> Pictures:
     """Return what the figures of a run show."""
-    result, view = found.result, found.view
+    result, view = run_outcome.result, run_outcome.view
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
     pictures = Pictures(
         view.time,
@@ -75,7 +75,7 @@ def pictures_of(found: Outcome) -> Pictures:
         **view.signals,
         **({"v_hat": view.estimated["v"]} if "v" in view.estimated else {}),
     }
-    pictures.validation, pictures.tracking = found.validated, found.tracking
+    pictures.validation, pictures.tracking = run_outcome.validated, run_outcome.tracking
     if view.friction is not None:
         pictures.friction = (view.signals["v"][late], view.friction[late])
     if {"v", "F"} <= set(view.estimated):

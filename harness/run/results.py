@@ -102,13 +102,15 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     return target
 
 
-def files_of(found: Outcome, setup: RunSetup, clock: Clock, full: bool) -> dict[str, str | bytes]:
+def files_of(
+    run_outcome: Outcome, setup: RunSetup, clock: Clock, full: bool
+) -> dict[str, str | bytes]:
     from bristle.harness.run.figures import draw
     from bristle.harness.run.run_page import render
 
     begin = time.perf_counter()
-    result, view = found.result, found.view
-    figures = draw(pictures_of(found))
+    result, view = run_outcome.result, run_outcome.view
+    figures = draw(pictures_of(run_outcome))
     csv = to_csv({"time": view.time, **view.columns()}, full)
     scenario = setup.scenario
     about = {

@@ -87,12 +87,12 @@ def build_and_check(
 def execute(checked: Checked, progress: Progress | None = None) -> FinishedRun:
     """Run a scenario that is checked, and write its result folder."""
     Thread(target=_load_drawing, daemon=True).start()
-    found = outcome(checked, progress)
+    run_outcome = outcome(checked, progress)
     with checked.clock.stage("report"):
         (progress or no_progress)("report", 0, 0)
-        files = files_of(found, checked.setup, checked.clock, checked.options.full)
+        files = files_of(run_outcome, checked.setup, checked.clock, checked.options.full)
     folder = write(checked.out, checked.setup.loaded.name, files)
-    return FinishedRun(found.result, folder, found.findings)
+    return FinishedRun(run_outcome.result, folder, run_outcome.findings)
 
 
 def _load_drawing() -> None:

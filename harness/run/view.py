@@ -89,12 +89,12 @@ class RunView:
         """
         torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
         load = 0.0 if torque is None or inertia is None else torque / inertia
-        found = true_values(self.trace, self.signals.get("load_scale", 1.0), load)
+        true = true_values(self.trace, self.signals.get("load_scale", 1.0), load)
         distances = [
             element_distances(setup.fmus[unit], setup.values[unit])
             for unit in ("plant", "observer")
         ]
-        return of_same_elements(found, *distances)
+        return of_same_elements(true, *distances)
 
     @staticmethod
     def _inertia(setup: RunSetup) -> float | None:
@@ -112,7 +112,7 @@ class RunView:
         """Return the true states that an observer may estimate."""
         if not self.true:
             return {}
-        found = {"v": self.signals["v"]}
+        states = {"v": self.signals["v"]}
         if self.friction is not None and "alpha2" in self.true:
-            found["w"] = self.friction - self.true["alpha2"] * self.signals["v"]
-        return found
+            states["w"] = self.friction - self.true["alpha2"] * self.signals["v"]
+        return states

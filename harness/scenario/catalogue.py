@@ -20,16 +20,16 @@ def scenario_files() -> dict[str, Path]:
     """Return the scenarios that come with bristle, and those in plug-in folders, by name in
     alphabetical order.
     """
-    found: dict[str, Path] = {}
+    by_name: dict[str, Path] = {}
     own = Path(str(files("bristle.scenarios")))
     for path in [*own.glob("*.toml"), *plugin_files("scenarios", ".toml")]:
-        if path.stem in found:
+        if path.stem in by_name:
             raise BristleError(
-                f"{path}: a scenario is called '{path.stem}' already, {found[path.stem]}; rename"
+                f"{path}: a scenario is called '{path.stem}' already, {by_name[path.stem]}; rename"
                 " the file"
             )
-        found[path.stem] = path
-    return dict(sorted(found.items()))
+        by_name[path.stem] = path
+    return dict(sorted(by_name.items()))
 
 
 def scenarios() -> dict[str, str]:

@@ -25,7 +25,7 @@ def build_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str,
             "plant": scenario.plant,
             **parts,
         }
-    found = {}
+    fmus = {}
     for name, part in parts.items():
         if part is None:
             continue
@@ -36,10 +36,10 @@ def build_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str,
                 f"names those of an FMU of your own; give {name}.fmu, or remove it",
             )
         if part.fmu is not None:
-            found[name] = _foreign(loaded, name, part.fmu, part.variables)
+            fmus[name] = _foreign(loaded, name, part.fmu, part.variables)
         else:
-            found[name] = _own(loaded, name, part, fmi, kind)
-    return found
+            fmus[name] = _own(loaded, name, part, fmi, kind)
+    return fmus
 
 
 def _own(loaded: Loaded, name: str, part: PartTable, fmi: int, kind: Kind) -> Fmu:

@@ -155,16 +155,16 @@ def _is_shared(loaded: Loaded, name: str, choice: str, key: str) -> bool:
     from bristle.fmus.build import readers
 
     where, given = f"{name}.parameters.{key}", getattr(loaded.scenario, name).parameters[key]
-    found, owner = readers(name, key), key.partition(".")[0]
-    if owner in found:
+    declarations, owner = readers(name, key), key.partition(".")[0]
+    if owner in declarations:
         message = f"belongs to {PORTS[name].selector} '{owner}', this is '{choice}'; remove it"
         raise loaded.error(where, given, message)
     try:
-        for declared in found.values():
+        for declared in declarations.values():
             declared.check(quantity(given, declared.unit))
     except BristleError as error:
         raise loaded.error(where, given, str(error)) from None
-    return bool(found)
+    return bool(declarations)
 
 
 def _check_sensors(setup: RunSetup) -> None:

@@ -48,21 +48,21 @@ def values_of(given: str, specs: str = SPECS) -> list[str]:
 
 def _spread(given: str, spec: str, specs: str) -> list[str]:
     """Return the values, with their unit, of ``a:b:n unit``."""
-    found = re.fullmatch(r"([^:\s]+):([^:\s]+):(\d+)(?:\s+(\S+))?", spec)
-    if found is None:
+    match = re.fullmatch(r"([^:\s]+):([^:\s]+):(\d+)(?:\s+(\S+))?", spec)
+    if match is None:
         raise BristleError(f"vary '{given}': '{spec}' is no SPEC; write {specs}")
     try:
-        first, last, count = float(found[1]), float(found[2]), int(found[3])
+        first, last, count = float(match[1]), float(match[2]), int(match[3])
     except ValueError:
         raise BristleError(
-            f"vary '{given}': '{found[1]}' or '{found[2]}' is no number; write {specs}"
+            f"vary '{given}': '{match[1]}' or '{match[2]}' is no number; write {specs}"
         ) from None
     if not (np.isfinite(first) and np.isfinite(last) and 1 <= count <= MOST_VALUES):
         raise BristleError(
             f"vary '{given}': the ends must be finite, and n from 1 to {MOST_VALUES}"
         )
     numbers = [f"{value:.12g}" for value in np.linspace(first, last, count)]
-    return [f"{number} {found[4]}" if found[4] else number for number in numbers]
+    return [f"{number} {match[4]}" if match[4] else number for number in numbers]
 
 
 def refuse_conflicts(vary: Sequence[str], seeds: Sequence[int], overrides: Sequence[str]) -> None:
@@ -88,7 +88,7 @@ def refuse_conflicts(vary: Sequence[str], seeds: Sequence[int], overrides: Seque
 
 def seeds_of(given: str) -> list[int]:
     """Return seeds written as ``1-12`` or ``1,4,7-9``; raise `BristleError` for anything else."""
-    found: list[int] = []
+    seeds: list[int] = []
     for part in given.split(","):
         ends = re.fullmatch(r"\s*(\d{1,18})(?:-(\d{1,18}))?\s*", part)
         if ends is None:
@@ -104,8 +104,8 @@ def seeds_of(given: str) -> list[int]:
                 f"seeds '{given}': '{part}' is more than {MOST_VALUES} seeds at once; write several"
                 " ranges"
             )
-        found += range(first, last + 1)
-    return list(dict.fromkeys(found))
+        seeds += range(first, last + 1)
+    return list(dict.fromkeys(seeds))
 
 
 def _listed(given: str, spec: str) -> list[str]:

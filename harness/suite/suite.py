@@ -191,13 +191,15 @@ def run_suite(
         Before anything runs, if a scenario cannot be run: one line for each.
     """
     options = options or RunOptions()
-    found: dict[SuiteCase, CaseResult] = {}
+    results: dict[SuiteCase, CaseResult] = {}
 
     def keep(tested: CaseResult) -> None:
-        found[tested.case] = tested
+        results[tested.case] = tested
         if progress is not None:
             progress(
-                " ".join([tested.case.path.stem, tested.case.name]).strip(), len(found), len(cases)
+                " ".join([tested.case.path.stem, tested.case.name]).strip(),
+                len(results),
+                len(cases),
             )
 
     work = partial(run_case, out=out, options=options)
@@ -210,7 +212,7 @@ def run_suite(
             _run_in_processes(waiting, jobs, work, keep)
     finally:
         _remove_empty(out, cases)
-    return [found[case] for case in cases]
+    return [results[case] for case in cases]
 
 
 def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
@@ -223,25 +225,25 @@ def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
             key = (c["name"], c["quantity"], c["kind"], c["limit"])
             value = c["value"] if c["value"] is not None else math.nan
             lines.setdefault(key, []).append((value, bool(c["pass"]), each.case.name))
-    found, lost = [], sum(each.verdict == "error" for each in tested)
+    limits, lost = [], sum(each.verdict == "error" for each in tested)
     for (name, quantity, kind, limit), values in lines.items():
         worst = max(values, key=lambda each: _badness(each[0], kind))
         median = statistics.median(abs(v) if kind == "max_abs" else v for v, _, _ in values)
         passed = sum(held for _, held, _ in values)
-        found.append(
+        limits.append(
             CheckSummary(
                 name, quantity, kind, limit, passed, len(values) + lost, median, worst[0], worst[2]
             )
         )
-    return found
+    return limits
 
 
 def by_scenario(tested: Sequence[CaseResult]) -> dict[Path, list[CaseResult]]:
     """Return the runs of each scenario file."""
-    found: dict[Path, list[CaseResult]] = {}
+    runs: dict[Path, list[CaseResult]] = {}
     for each in tested:
-        found.setdefault(each.case.path, []).append(each)
-    return found
+        runs.setdefault(each.case.path, []).append(each)
+    return runs
 
 
 def _badness(value: float, kind: str) -> float:
@@ -256,18 +258,18 @@ def _files(given: Path) -> list[Path]:
     if not given.is_dir():
         return [find_scenario(given)]
     inside = sorted(given.glob("*.toml"))
-    found = [path for path in inside if is_scenario(path)]
-    if not found:
+    scenarios = [path for path in inside if is_scenario(path)]
+    if not scenarios:
         raise BristleError(
             f"{given}: no scenario file in this folder; a scenario is a .toml file with a table"
             " [observer]"
         )
-    if others := [path.name for path in inside if path not in found]:
+    if others := [path.name for path in inside if path not in scenarios]:
         told = "%s: left out %d of %d .toml files, which have no table [observer]: %s"
         logging.getLogger("bristle").warning(
             told, given, len(others), len(inside), ", ".join(others)
         )
-    return found
+    return scenarios
 
 
 def _refuse_folders(of_key: Sequence[str]) -> None:

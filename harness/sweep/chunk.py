@@ -219,21 +219,21 @@ def _judged(run: _Prepared, simulate_run: Simulate) -> dict[str, Any]:
     if run.checked is None:
         return row | {"wall_s": run.seconds}
     try:
-        found = outcome(replace(run.checked, simulate=simulate_run)).result
+        result = outcome(replace(run.checked, simulate=simulate_run)).result
     except BristleError as error:
         return row | _error(error) | {"wall_s": time.perf_counter() - begun}
-    failed = [check["name"] for check in found["checks"] if not check["pass"]]
+    failed = [check["name"] for check in result["checks"] if not check["pass"]]
     verdict = {
-        "verdict": found["verdict"],
-        "message": found["diverged"]["message"] if "diverged" in found else "",
+        "verdict": result["verdict"],
+        "message": result["diverged"]["message"] if "diverged" in result else "",
         "failed": "; ".join(failed),
-        "checks": len(found["checks"]),
-        "checks_passed": len(found["checks"]) - len(failed),
-        "steps": found["steps"],
+        "checks": len(result["checks"]),
+        "checks_passed": len(result["checks"]) - len(failed),
+        "steps": result["steps"],
         "wall_s": time.perf_counter() - begun,
     }
-    hashes = {f"sha256.{name}": fmu["sha256"] for name, fmu in found["fmus"].items()}
-    numbers = _numbers({name: found[name] for name in KEPT_NUMBERS if name in found})
+    hashes = {f"sha256.{name}": fmu["sha256"] for name, fmu in result["fmus"].items()}
+    numbers = _numbers({name: result[name] for name in KEPT_NUMBERS if name in result})
     # as given, if it varies
     return (
         row | verdict | hashes | {name: value for name, value in numbers.items() if name not in row}
@@ -257,14 +257,14 @@ def _row(sweep: Sweep, point: SweepPoint) -> dict[str, Any]:
 
 def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | bool | None]:
     """Return the numbers of a tree by their dotted paths; what is not finite is null."""
-    found: dict[str, float | bool | None] = {}
+    numbers: dict[str, float | bool | None] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            found |= _numbers(value, f"{before}{name}.")
+            numbers |= _numbers(value, f"{before}{name}.")
         elif isinstance(value, bool | np.bool_):
-            found[before + name] = bool(value)
+            numbers[before + name] = bool(value)
         elif isinstance(value, int | float | np.number):
-            found[before + name] = float(value) if math.isfinite(value) else None
+            numbers[before + name] = float(value) if math.isfinite(value) else None
         elif value is None:
-            found[before + name] = None
-    return found
+            numbers[before + name] = None
+    return numbers

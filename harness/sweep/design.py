@@ -154,12 +154,12 @@ class Design:
         if not dimensions:
             return np.empty((1, 0))
         if self.sampling == "random":
-            found = np.random.default_rng(self.sampling_seed).random((self.samples, dimensions))
+            shares = np.random.default_rng(self.sampling_seed).random((self.samples, dimensions))
         else:
             kind = qmc.LatinHypercube if self.sampling == "lhs" else qmc.Sobol
-            found = kind(dimensions, seed=self.sampling_seed).random(self.samples)
+            shares = kind(dimensions, seed=self.sampling_seed).random(self.samples)
         tiny = np.finfo(float).eps
-        return np.clip(found, tiny, 1 - tiny)
+        return np.clip(shares, tiny, 1 - tiny)
 
 
 def design(
@@ -195,12 +195,12 @@ def design(
     if sampling_seed < 0:
         raise BristleError(f"sampling_seed {sampling_seed}: must be 0 or more")
     _check_samples(samples, sampling, [axis.path for axis in axes if not axis.overrides])
-    found = Design(tuple(vary), axes, tuple(seeds), samples or 0, sampling, sampling_seed)
-    if found.runs > MOST_RUNS:
+    asked = Design(tuple(vary), axes, tuple(seeds), samples or 0, sampling, sampling_seed)
+    if asked.runs > MOST_RUNS:
         raise BristleError(
-            f"vary: {found.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values"
+            f"vary: {asked.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values"
         )
-    return found
+    return asked
 
 
 def _check_samples(samples: int | None, sampling: Sampling, drawn: Sequence[str]) -> None:
@@ -245,12 +245,12 @@ def _dimension(override: str) -> tuple[int, ...] | None:
 def axis_of(given: str) -> VariedKey:
     """Return the axis that a ``PATH=SPEC`` stands for."""
     path, separator, spec = (part.strip() for part in given.partition("="))
-    found = DISTRIBUTION.fullmatch(spec)
-    if not separator or not path or found is None:
+    match = DISTRIBUTION.fullmatch(spec)
+    if not separator or not path or match is None:
         overrides = tuple(values_of(given, WRITTEN))
         return VariedKey(".".join(keys_of(overrides[0].partition("=")[0])), overrides)
     return VariedKey(
-        ".".join(keys_of(path)), (), _distribution(given, found[1], found[2]), found[3] or ""
+        ".".join(keys_of(path)), (), _distribution(given, match[1], match[2]), match[3] or ""
     )
 
 

@@ -64,12 +64,12 @@ def _keep_memory() -> None:
 
 def _written(files: Mapping[str, bytes]) -> dict[str, Path]:
     _folders.append(TemporaryFolder("sweep"))
-    found = {}
+    paths = {}
     for place, (name, content) in enumerate(files.items()):
-        found[name] = Path(_folders[-1].name) / str(place) / Path(name).name
-        found[name].parent.mkdir()
-        found[name].write_bytes(content)
-    return found
+        paths[name] = Path(_folders[-1].name) / str(place) / Path(name).name
+        paths[name].parent.mkdir()
+        paths[name].write_bytes(content)
+    return paths
 
 
 def _moved(fmu: Fmu, places: Mapping[str, Path]) -> Fmu:

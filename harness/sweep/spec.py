@@ -95,7 +95,7 @@ def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
     path = path.absolute()  # the working directory changes while FMUs are loaded
     text, _ = read_toml(path, "scenario file")
     empty = Sweep(path, text, design.axes, options, {}, "")
-    found: dict[str, dict[str, Fmu]] = {}
+    fmus: dict[str, dict[str, Fmu]] = {}
     mistakes: dict[str, None] = {}
     first_seed = design.seeds[0] if design.seeds else None
     hashes: set[str] = set()
@@ -104,11 +104,11 @@ def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
         try:
             loaded = load_point(empty, SweepPoint(0, overrides, first_seed))
             key = parts_key(loaded)
-            if key not in found:
-                found[key] = build_fmus(loaded, options.fmi, options.kind)
-                hashes |= {fmu.sha256 for fmu in found[key].values()}
+            if key not in fmus:
+                fmus[key] = build_fmus(loaded, options.fmi, options.kind)
+                hashes |= {fmu.sha256 for fmu in fmus[key].values()}
                 hashes |= _record_hash(loaded)
-            check_loaded(loaded, found[key], path.parent, options)
+            check_loaded(loaded, fmus[key], path.parent, options)
         except BristleError as error:
             mistakes[str(error)] = None
             if len(mistakes) == MOST_MISTAKES:
@@ -125,7 +125,7 @@ def prepare_sweep(path: Path, design: Design, options: RunOptions) -> Sweep:
     )
     return replace(
         empty,
-        fmus=found,
+        fmus=fmus,
         identity=identity,
         name=digest(identity, asked)[:24],
         lanes=design.runs >= RUNS_WORTH_IT,

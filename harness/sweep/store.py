@@ -142,12 +142,12 @@ class Store:
         for path in self.files():
             try:
                 # all of it, so that all is verified
-                found = pq.read_table(path, page_checksum_verification=True)
+                runs = pq.read_table(path, page_checksum_verification=True)
             except (OSError, pa.ArrowException):
                 path.unlink(missing_ok=True)
                 continue
-            _must_have_runs(path, found.schema)
-            pairs = zip(found["key"].to_pylist(), found["verdict"].to_pylist(), strict=True)
+            _must_have_runs(path, runs.schema)
+            pairs = zip(runs["key"].to_pylist(), runs["verdict"].to_pylist(), strict=True)
             keys.update((key, verdict) for key, verdict in pairs if verdict != ERROR_VERDICT)
         return keys
 
@@ -170,15 +170,15 @@ class Store:
     def table(self) -> pa.Table:
         """Return the runs, each once, in the order of their places in their sweeps."""
         try:
-            found = self.dataset().to_table()
+            runs = self.dataset().to_table()
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(error) from None
-        errors = [verdict == ERROR_VERDICT for verdict in found["verdict"].to_pylist()]
+        errors = [verdict == ERROR_VERDICT for verdict in runs["verdict"].to_pylist()]
         chosen: dict[str, int] = {}
-        for row, key in enumerate(found["key"].to_pylist()):
+        for row, key in enumerate(runs["key"].to_pylist()):
             if key not in chosen or errors[chosen[key]]:
                 chosen[key] = row
-        return found.take(sorted(chosen.values())).sort_by(
+        return runs.take(sorted(chosen.values())).sort_by(
             [("sweep", "ascending"), ("run", "ascending")]
         )
 
@@ -206,13 +206,13 @@ class Store:
                 # a query reads runs, and neither reads nor writes files
                 connection.execute("SET enable_external_access = false")
                 connection.execute("SET lock_configuration = true")
-                found: Any = connection.execute(sql)
-                if found is None:
+                answer: Any = connection.execute(sql)
+                if answer is None:
                     raise BristleError(
                         "query: says nothing; write for example SELECT verdict, count(*) FROM runs"
                         " GROUP BY 1"
                     )
-                return [str(column[0]) for column in found.description], found.fetchall()
+                return [str(column[0]) for column in answer.description], answer.fetchall()
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise BristleError(f"query: {_line(error)}") from None
 
@@ -220,8 +220,8 @@ class Store:
 def _description(path: Path) -> dict[str, Any]:
     """Return what was asked for in one sweep."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not found.keys() >= DESCRIBED:
+        description = json.loads(path.read_text(encoding="utf-8"))
+        if not description.keys() >= DESCRIBED:
             raise ValueError("entries are missing")
     except (OSError, ValueError, AttributeError) as error:
         why = (
@@ -229,7 +229,7 @@ def _description(path: Path) -> dict[str, Any]:
             " anew, or remove it"
         )
         raise BristleError(f"{path}: {why}") from None
-    return dict(found)
+    return dict(description)
 
 
 def _must_have_runs(path: Path, schema: pa.Schema) -> pa.Schema:

@@ -63,8 +63,8 @@ class PassingShare:
         """Bounds of the share at `CONFIDENCE`."""
         from scipy.stats import binomtest
 
-        found = binomtest(self.count, self.total).proportion_ci(CONFIDENCE, "exact")
-        return float(found.low), float(found.high)
+        interval = binomtest(self.count, self.total).proportion_ci(CONFIDENCE, "exact")
+        return float(interval.low), float(interval.high)
 
     def text(self) -> str:
         """Return the share with its interval in percent."""
@@ -159,7 +159,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
     The interval is the estimate with 1.96 of its own standard deviations to either side; it holds
     if the true value is in it.
     """
-    found = []
+    rows = []
     for name in runs.parameters:
         final, true, sd, error = (
             runs.numbers(f"estimates.{name}.{part}")
@@ -172,7 +172,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
             [value is not None for value in runs.column(f"estimates.{name}.valid")]
         )
         worst = int(np.nanargmax(np.abs(error))) if known.any() else None
-        found.append(
+        rows.append(
             {
                 "parameter": name,
                 "valid": PassingShare(int(np.sum(np.isfinite(final))), int(np.sum(estimated))),
@@ -187,7 +187,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
                 "coverage": PassingShare(int(np.sum(holds)), int(np.sum(told))),
             }
         )
-    return found
+    return rows
 
 
 def summary(runs: Runs) -> dict[str, Any]:
@@ -221,8 +221,8 @@ def summary(runs: Runs) -> dict[str, Any]:
 def render(runs: Runs) -> str:
     """Return report.html."""
     shown = _shown(runs)
-    found = [each for each in statistics(runs) if each["valid"].total]
-    drawn = [each for each in found if len(each["errors"]) > 1]
+    estimates = [each for each in statistics(runs) if each["valid"].total]
+    drawn = [each for each in estimates if len(each["errors"]) > 1]
     mapped = _mapped(runs)
     pairs = list(itertools.combinations(mapped, 2))
     return pages.render(
@@ -232,7 +232,7 @@ def render(runs: Runs) -> str:
         unfinished=runs.unfinished,
         versions=_versions(runs),
         outcomes=_outcomes(runs),
-        estimates=found,
+        estimates=estimates,
         histograms=_histograms(drawn) if drawn else None,
         tail=TAIL,
         groups=_groups(runs) if runs.varied else None,
@@ -256,10 +256,10 @@ def _failed(runs: Runs) -> dict[str, int]:
 def _outcomes(runs: Runs) -> list[tuple[str, PassingShare]]:
     """Return what runs came to, verdicts first, and how many of them did."""
     counts = Counter(runs.verdict)
-    found = [(f"verdict {word}", counts[word]) for word in OUTCOMES if counts[word]]
-    found += [(f"check fails: {name}", count) for name, count in _failed(runs).items()]
-    found += Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
-    return [(what, PassingShare(count, len(runs))) for what, count in found]
+    outcomes = [(f"verdict {word}", counts[word]) for word in OUTCOMES if counts[word]]
+    outcomes += [(f"check fails: {name}", count) for name, count in _failed(runs).items()]
+    outcomes += Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
+    return [(what, PassingShare(count, len(runs))) for what, count in outcomes]
 
 
 def _versions(runs: Runs) -> list[dict[str, Any]]:
@@ -280,15 +280,15 @@ def _versions(runs: Runs) -> list[dict[str, Any]]:
     ]
 
 
-def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
+def _histograms(estimates: Sequence[Mapping[str, Any]]) -> str:
     from matplotlib import rc_context
 
-    columns = min(3, len(found))
-    lines = math.ceil(len(found) / columns)
+    columns = min(3, len(estimates))
+    lines = math.ceil(len(estimates) / columns)
     with rc_context(STYLE):
         drawing = new_figure(10.2, 2.3 * lines + 0.3)
         drawing.subplots_adjust(wspace=0.28, hspace=0.65)
-        for place, each in enumerate(found, 1):
+        for place, each in enumerate(estimates, 1):
             ax = drawing.add_subplot(lines, columns, place)
             low, high = np.percentile(each["errors"], (TAIL, 100 - TAIL))
             room = 0.02 * (high - low) or 1e-3
@@ -394,7 +394,7 @@ def _places(
     for run, at in enumerate(zip(runs.column(x), runs.column(y), strict=True)):
         there.setdefault(at, []).append(run)
     listed = {int(each) for each in shown}
-    found = {}
+    places = {}
     for at, members in there.items():
         several = [run for run in members if run in listed]
         if several and None not in at:
@@ -407,8 +407,8 @@ def _places(
                 else ERROR_VERDICT
             )
             said = "all pass" if verdicts == {"pass"} else said
-            found[at] = said, min(several, key=lambda run: (runs.verdict[run] == "pass", run))
-    return found
+            places[at] = said, min(several, key=lambda run: (runs.verdict[run] == "pass", run))
+    return places
 
 
 def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:

@@ -93,21 +93,21 @@ def comparison_of(_):
     course = SignalCourse(x, x, x - 1, x + 1, x)
     signals = (SignalVerdict(EVIL, False, 2.0, 1.0, 1.0, 1.0, 0.0, 2.0, EVIL),)
     numbers = (QuantityVerdict(EVIL, EVIL, 1.0, 2.0, 0.1, False, EVIL),)
-    found = RunComparison(
+    comparison = RunComparison(
         EVIL, EVIL, EVIL, 3, 3, (), signals, numbers, (EVIL,), {EVIL: course}, (MADE, MADE)
     )
-    refused = replace(found, refused=(EVIL,))
-    return comparison_page.render(found) + comparison_page.render(refused)
+    refused = replace(comparison, refused=(EVIL,))
+    return comparison_page.render(comparison) + comparison_page.render(refused)
 
 
 def coupling_of(_):
     scheme = Scheme(EVIL, EVIL, {EVIL: Error(1.0, 1.0, 1.0, None)}, {EVIL: 1.0})
-    found = CouplingCost(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))
-    return _page(found, MADE).decode()
+    cost = CouplingCost(EVIL, 1e-3, EVIL, (scheme,), {EVIL: 1.0}, {EVIL: 1.0}, (EVIL,))
+    return _page(cost, MADE).decode()
 
 
 def replay_of(_):
-    found = SimpleNamespace(
+    replayed = SimpleNamespace(
         agreement=(SignalAgreement(EVIL, None, 0.0, 1.0, EVIL),),
         compared=True,
         failure=EVIL,
@@ -115,7 +115,7 @@ def replay_of(_):
         verdict=EVIL,
     )
     return pages.render(
-        "bristle.harness.exchange/replay.html", package=EVIL, found=found, made=MADE
+        "bristle.harness.exchange/replay.html", package=EVIL, replayed=replayed, made=MADE
     )
 
 
@@ -127,8 +127,8 @@ def experiments_of(_):
         summary=EVIL,
         agreement=(SignalAgreement(EVIL, None, 0.0, 1.0, EVIL),),
     )
-    found = SimpleNamespace(passed=False, changed=(EVIL,), experiments=(each,))
-    data = {"fmu": EVIL, "found": found, "signals": each.agreement, "files": [EVIL]}
+    replayed = SimpleNamespace(passed=False, changed=(EVIL,), experiments=(each,))
+    data = {"fmu": EVIL, "replayed": replayed, "signals": each.agreement, "files": [EVIL]}
     data["made"] = MADE
     return pages.render("bristle.harness.exchange/experiments.html", **data)
 
@@ -159,24 +159,26 @@ def diagnosis_of(_):
     spec.loader.exec_module(fabricated)
     text = ""
     for make in fabricated.CASES.values():
-        found = make()
-        found = replace(
-            found,
+        diagnosis = make()
+        diagnosis = replace(
+            diagnosis,
             **{name: (EVIL,) for name in ("leads", "notes", "corrections")},
             limits=(Undetected(EVIL, EVIL),),
-            traces=tuple(replace(each, name=EVIL) for each in found.traces),
+            traces=tuple(replace(each, name=EVIL) for each in diagnosis.traces),
         )
-        words = diagnosis_page.captions(found)
+        words = diagnosis_page.captions(diagnosis)
         drawn = dict.fromkeys(words, DRAWING)
-        text += diagnosis_page.render(found, drawn, {EVIL: EVIL}, [EVIL]) + found._repr_html_()
+        text += (
+            diagnosis_page.render(diagnosis, drawn, {EVIL: EVIL}, [EVIL]) + diagnosis._repr_html_()
+        )
     return text
 
 
 def validation_of(_):
     x = np.arange(5.0)
     record = ValidatedRecord(EVIL, EVIL, 1.0, 1.0, 1.0, ((1.0, 1.0),), x, x, x, x)
-    found = Validation(EVIL, EVIL, (record,), (EVIL,))
-    return validation_page.render(found, MADE | {EVIL: EVIL, "x": {EVIL: EVIL}})
+    validation = Validation(EVIL, EVIL, (record,), (EVIL,))
+    return validation_page.render(validation, MADE | {EVIL: EVIL, "x": {EVIL: EVIL}})
 
 
 PAGES = {
@@ -194,13 +196,13 @@ PAGES = {
 
 
 def test_every_page_is_tested():
-    found = {
+    pages_shown = {
         path.relative_to(ROOT).as_posix()
         for room in ("harness", "diagnosis", "package", "cli", "fmus")
         for path in (ROOT / room).rglob("templates/*.html")
         if "{% extends" in path.read_text(encoding="utf-8")
     }
-    assert found == set(PAGES)
+    assert pages_shown == set(PAGES)
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -216,5 +218,5 @@ def test_only_what_a_template_wrote_itself_is_called_safe():
     """A filter `safe` behind anything but a text would switch the escaping off."""
     for room in ("common", "harness", "diagnosis", "package"):
         for path in (ROOT / room).rglob("*.html"):
-            found = re.findall(r"(\S+)\|safe", path.read_text(encoding="utf-8"))
-            assert all(each == "svg" or each.endswith('"') for each in found), path
+            marked = re.findall(r"(\S+)\|safe", path.read_text(encoding="utf-8"))
+            assert all(each == "svg" or each.endswith('"') for each in marked), path
