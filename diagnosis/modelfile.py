@@ -334,14 +334,14 @@ def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
     """Return all nominal values; what is missing is refused, but for parameters that are optional
     or 0 by default.
     """
-    found: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for name, value in _flat(given):
         full = file.full_name("parameters", name, value)
-        if full in found:
+        if full in parameters:
             raise file.mistake(f"parameters.{name}", value, f"{full} is given twice; give it once")
-        found[full] = file.number(f"parameters.{name}", value, file.names[full])
+        parameters[full] = file.number(f"parameters.{name}", value, file.names[full])
     for name, parameter in file.names.items():
-        if name not in found:
+        if name not in parameters:
             if parameter.default != 0.0 and not parameter.optional:
                 why = (
                     f", which an input of kind '{file.layout.input_kind}' needs"
@@ -351,14 +351,14 @@ def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
                 raise file.mistake(
                     f"parameters.{name}", None, f"missing; add it ({parameter.description}{why})"
                 )
-            found[name] = parameter.default
-    return found
+            parameters[name] = parameter.default
+    return parameters
 
 
 def _bounds(
     file: _File, given: Mapping[str, Any], parameters: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    found: dict[str, tuple[float, float]] = {}
+    bounds: dict[str, tuple[float, float]] = {}
     for name, value in _flat(given):
         full, key = file.full_name("bounds", name, value), f"bounds.{name}"
         if not isinstance(value, (list, tuple)) or len(value) != 2:
@@ -367,7 +367,7 @@ def _bounds(
                 value,
                 "must be two numbers, [lowest, highest]; leave it out to keep the parameter fixed",
             )
-        if full in found:
+        if full in bounds:
             raise file.mistake(key, value, f"{full} is given twice; give it once")
         low, high = (
             file.number(f"{key}[{k}]", each, file.names[full]) for k, each in enumerate(value)
@@ -385,8 +385,8 @@ def _bounds(
                 list(value),
                 f"the nominal value {nominal:g} lies outside; widen the bounds or correct it",
             )
-        found[full] = (low, high)
-    return found
+        bounds[full] = (low, high)
+    return bounds
 
 
 def default_bounds(
@@ -400,13 +400,13 @@ def default_bounds(
     parameters share one factor.
     """
     levels = [p for p in law.parameters if p.unit in ("N.m", "1/s2")]
-    found = {}
+    bounds = {}
     for p in (J, A2, *levels):
         value = parameters[p.name]
         if value != 0.0:
             ends = sorted((0.0 if p.minimum == 0.0 else value / BOUND_FACTOR, value * BOUND_FACTOR))
-            found[p.name] = (max(ends[0], p.minimum), min(ends[1], p.maximum))
-    return found
+            bounds[p.name] = (max(ends[0], p.minimum), min(ends[1], p.maximum))
+    return bounds
 
 
 def _effect(file: _File, name: str, given: Mapping[str, Given]) -> dict[str, float]:

@@ -113,12 +113,12 @@ def _of_motion(model: Model, records: Sequence[Record]) -> dict[str, Any]:
 def _lacks(numbers: dict[str, Any]) -> list[str]:
     """Return what effects need, of `NEEDS`, and the records do not contain."""
     ahead, back, ends = numbers["forward_share"], numbers["backward_share"], numbers["input_range"]
-    found = {
+    missing_by_need = {
         BOTH_DIRECTIONS: min(ahead, back) < LEAST_SHARE_BACK * (ahead + back),
         REVERSALS: numbers["reversals"] < FEWEST_REVERSALS,
         BOTH_SIGNS: ends["lowest"] >= 0.0 or ends["highest"] <= 0.0,
     }
-    return [need for need, missing in found.items() if missing]
+    return [need for need, missing in missing_by_need.items() if missing]
 
 
 def _uniform(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> Finding | None:
@@ -215,12 +215,12 @@ def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[Finding
     """Return what several records cannot show because their relation in time or position is
     unknown.
     """
-    found = []
+    caveats = []
     if overlap((float(r.time[0]), float(r.time[-1])) for r in records):
-        found.append(finding(Reason.OVERLAPPING_TIMES))
+        caveats.append(finding(Reason.OVERLAPPING_TIMES))
     if model.output_kind == "velocity" and len(records) > 1:
-        found.append(finding(Reason.UNKNOWN_POSITIONS))
-    return found
+        caveats.append(finding(Reason.UNKNOWN_POSITIONS))
+    return caveats
 
 
 def _caveats(model: Model, numbers: dict[str, Any], lacks: Sequence[str]) -> list[Finding]:

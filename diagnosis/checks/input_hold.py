@@ -91,6 +91,6 @@ def _likeliest_share(dataset: Dataset, fitted: FittedModel, best: int) -> float:
     return INPUT_SHARES[best]
 
 
-def with_input_share(records: Sequence[Record], found: InputShare) -> list[Record]:
+def with_input_share(records: Sequence[Record], input_share: InputShare) -> list[Record]:
     """Return the records with the mixed input."""
-    return [replace(r, u=mixed(r.u, found.share), ahead=found.share) for r in records]
+    return [replace(r, u=mixed(r.u, input_share.share), ahead=input_share.share) for r in records]

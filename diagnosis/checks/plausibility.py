@@ -71,28 +71,32 @@ class Plausibility:
 
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
     """Compare what a regression on the records gives with the model's nominal values."""
-    found = _regression(model, records)
-    unsigned = _unsigned(model, records, found)
+    regression = _regression(model, records)
+    unsigned = _unsigned(model, records, regression)
     # a position may keep its sign as well
-    if unsigned and not (found and _wrong_reading(model, records, found)):
+    if unsigned and not (regression and _wrong_reading(model, records, regression)):
         return Plausibility((unsigned,), ())
-    if found is None:
+    if regression is None:
         return Plausibility((), (finding(Reason.LITTLE_MOTION),))
     fit: dict[str, dict[str, float] | float] = {
-        name: {"value": float(found.value[i]), "se": float(found.error[i])}
+        name: {"value": float(regression.value[i]), "se": float(regression.error[i])}
         for i, name in enumerate(REGRESSION_NAMES)
     }
-    fit["explained"] = found.explained
-    notes = tuple(_outside_bounds(model, found))
+    fit["explained"] = regression.explained
+    notes = tuple(_outside_bounds(model, regression))
     single = tuple(_proposals_by_record(model, records)) if len(records) > 1 else ()
-    whole = _wrong_reading(model, records, found) or _wrong_factor(model, _nominal(model), found)
+    whole = _wrong_reading(model, records, regression) or _wrong_factor(
+        model, _nominal(model), regression
+    )
     if whole and (not single or len(single) > len(records) / 2):
         return Plausibility((whole,), notes, fit)
     # a mistake in one record may not show in all together, or only blur them
     return Plausibility(single, notes, fit)
 
 
-def _unsigned(model: Model, records: Sequence[Record], found: Regression | None) -> Finding | None:
+def _unsigned(
+    model: Model, records: Sequence[Record], regression: Regression | None
+) -> Finding | None:
     """Return what is said where the output looks like a speed without its sign, as a pulse counter
     gives it.
     """
@@ -104,7 +108,7 @@ def _unsigned(model: Model, records: Sequence[Record], found: Regression | None)
         or min(np.mean(u < 0), np.mean(u > 0)) < EITHER_SIGN_SHARE
     ):
         return None
-    share = 0.0 if found is None else explained_share(found.rows)[0]
+    share = 0.0 if regression is None else explained_share(regression.rows)[0]
     if share > EXPLAINED_SHARE:  # a drive that brakes with the input, say
         return None
     return finding(Reason.UNSIGNED_SPEED, column=model.output.column, explained=share)
@@ -153,16 +157,16 @@ def _nominal(model: Model) -> Array:
 
 # -- another reading of the columns ----------------------------------------------------------------
 def _wrong_reading(
-    model: Model, records: Sequence[Record], found: Regression, alone: bool = False
+    model: Model, records: Sequence[Record], regression: Regression, alone: bool = False
 ) -> Finding | None:
     """Return a proposal to turn the input's sign, swap the columns or differentiate once more or
     less; `alone`: in one record.
     """
-    given, constants = explained_share(found.rows)
-    value, nominal = found.value, _nominal(model)
-    if found.known(SIGN_ERRORS)[0] and _near(value[0] / nominal[0]) and given > 0.5:
+    given, constants = explained_share(regression.rows)
+    value, nominal = regression.value, _nominal(model)
+    if regression.known(SIGN_ERRORS)[0] and _near(value[0] / nominal[0]) and given > 0.5:
         return None
-    if flipped := _flipped(found, given, bool(np.isfinite(nominal[2])), alone):
+    if flipped := _flipped(regression, given, bool(np.isfinite(nominal[2])), alone):
         return flipped
     best = _best_reading(model, records, given, _distance(constants, nominal))
     if best is None:
@@ -176,18 +180,18 @@ def _wrong_reading(
     return finding(Reason.SWAPPED_COLUMNS, columns=columns, **shares)
 
 
-def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> Finding | None:
+def _flipped(regression: Regression, given: float, dry: bool, alone: bool) -> Finding | None:
     """Return a proposal to turn the input's sign; `given` is the share explained as it is, `dry`
     whether the law has an Fc.
     """
-    ratio = found.value / np.maximum(found.error, 1e-300)
+    ratio = regression.value / np.maximum(regression.error, 1e-300)
     core = ratio[[0, 2]] if dry else ratio[[0]]
     if not (np.min(core) < -SIGN_ERRORS and np.max(core) < SIGN_ERRORS):
         return None
-    flipped, _ = explained_share(found.rows, -1.0)
+    flipped, _ = explained_share(regression.rows, -1.0)
     if not (1.0 - given > CLEARER_RATIO * (1.0 - flipped) and flipped > 0.2):
         return None
-    values = {"J": float(found.value[0]), "Fc": float(found.value[2])}
+    values = {"J": float(regression.value[0]), "Fc": float(regression.value[2])}
     return finding(Reason.FLIPPED_SIGN, explained=flipped, as_given=given, alone=alone, **values)
 
 
@@ -238,15 +242,15 @@ def _distance(value: Array, nominal: Array) -> float:
 
 # -- a wrong unit ----------------------------------------------------------------------------------
 def _wrong_factor(
-    model: Model, nominal: Array, found: Regression, alone: bool = False
+    model: Model, nominal: Array, regression: Regression, alone: bool = False
 ) -> Finding | None:
     """Return a proposal if one factor on one column explains the ratios of all estimates to
     `nominal` values (3,).
     """
-    use = np.isfinite(nominal) & found.known(VALUE_ERRORS) & (found.value > 0.0)
+    use = np.isfinite(nominal) & regression.known(VALUE_ERRORS) & (regression.value > 0.0)
     if not use[0]:
         return None
-    off = np.log(np.where(use, found.value / np.where(use, nominal, 1.0), 1.0))
+    off = np.log(np.where(use, regression.value / np.where(use, nominal, 1.0), 1.0))
     # the inertia alone tells no column from another
     if use.sum() < 2:
         if abs(off[0]) < math.log(ABSURD_FACTOR):
@@ -313,14 +317,14 @@ def _reasons(model: Model, cause: str, size: float, viscous: bool) -> tuple[tupl
     return tuple(reasons)
 
 
-def _outside_bounds(model: Model, found: Regression) -> Iterator[Finding]:
+def _outside_bounds(model: Model, regression: Regression) -> Iterator[Finding]:
     """Give what is said of estimates that lie well outside their bounds, and of the factor that
     they share.
     """
     names = ("J", "a2", next((n for n in model.parameters if n.endswith(".Fc")), ""))
     ratios = {}
     for name, value, error, nominal in zip(
-        names, found.value, found.error, _nominal(model), strict=True
+        names, regression.value, regression.error, _nominal(model), strict=True
     ):
         low, high = model.bounds.get(name, (-math.inf, math.inf))
         above = high > 0 and value - VALUE_ERRORS * error > BEYOND_BOUNDS * high

@@ -214,18 +214,18 @@ def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, Fin
     lack them, the sensor cannot show them, or the records lack (`lacks`) what they need.
     """
     law, unknown = find_law(model.friction), model.output_kind == "velocity"
-    found = {}
+    excluded = {}
     for e in effects().values():
         # the last reason that holds is given
         if e.excluded and (why := e.excluded(law)):
-            found[e.name] = finding(Reason.REFUSED, why=why)
+            excluded[e.name] = finding(Reason.REFUSED, why=why)
         if e.once_per_turn and model.linear:
-            found[e.name] = finding(Reason.LINEAR_AXIS)
+            excluded[e.name] = finding(Reason.LINEAR_AXIS)
         if e.follow and unknown:
-            found[e.name] = finding(Reason.NO_POSITION)
+            excluded[e.name] = finding(Reason.NO_POSITION)
         if needs := tuple(need for need in e.needs if need in lacks):
-            found[e.name] = finding(Reason.RECORDS_LACK, what=needs)
-    return found
+            excluded[e.name] = finding(Reason.RECORDS_LACK, what=needs)
+    return excluded
 
 
 def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, float]]:

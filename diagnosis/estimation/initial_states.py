@@ -88,11 +88,11 @@ def merge_fits(problem: Problem, fits: Sequence[Fit], which: NDArray[np.int_]) -
     def picked(of: Callable[[Fit], NDArray[Any]]) -> NDArray[Any]:
         return np.stack([of(fit) for fit in fits])[which, np.arange(len(which))]
 
-    found = Linearised(
+    linearised = Linearised(
         picked(lambda f: f.residual),
         picked(lambda f: f.by_parameter),
         picked(lambda f: f.elimination.by_initial),
         picked(lambda f: f.output_by_initial),
         picked(lambda f: f.good),
     )
-    return scored(problem, fits[0].at(initial=picked(lambda f: f.initial)), found)
+    return scored(problem, fits[0].at(initial=picked(lambda f: f.initial)), linearised)

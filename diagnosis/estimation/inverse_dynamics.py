@@ -161,8 +161,8 @@ class Balance:
         function, names = _acceleration(law, effects, tuple(f.name for f in free))
         known = {**_defaults(law, effects), **self._fixed, **values}
         m = self.motion
-        found = function([m.theta, m.v, m.u, m.time, *(known[name] for name in names)])
-        a, *by = (np.broadcast_to(each, m.theta.shape) for each in found)
+        derivatives = function([m.theta, m.v, m.u, m.time, *(known[name] for name in names)])
+        a, *by = (np.broadcast_to(each, m.theta.shape) for each in derivatives)
         scale = [values[f.name] if f.factor else 1.0 for f in free]
         return a, np.column_stack(by) * scale if free else np.empty((len(a), 0))
 
@@ -200,12 +200,14 @@ class Balance:
         )
         damping = BALANCE_DAMPING
         for _ in range(steps):
-            found, slopes = best
-            normal = np.einsum("s,snp,snq->pq", found.weight, slopes, slopes, optimize=True)
-            pull = np.einsum("s,snp,sn->p", found.weight, slopes, found.residual, optimize=True)
+            balanced, slopes = best
+            normal = np.einsum("s,snp,snq->pq", balanced.weight, slopes, slopes, optimize=True)
+            pull = np.einsum(
+                "s,snp,sn->p", balanced.weight, slopes, balanced.residual, optimize=True
+            )
             scale = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
             active = np.array(
-                [not f.leaves(found.values[f.name], p) for f, p in zip(free, pull, strict=True)],
+                [not f.leaves(balanced.values[f.name], p) for f, p in zip(free, pull, strict=True)],
                 dtype=bool,
             )
             if not active.any():
@@ -216,8 +218,8 @@ class Balance:
             step[active] = (
                 np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
             )
-            trial = self._at(law, effects, free, moved(free, found.values, step))
-            gain = trial[0].total - found.total
+            trial = self._at(law, effects, free, moved(free, balanced.values, step))
+            gain = trial[0].total - balanced.total
             if gain > 0:
                 best, damping = trial, damping / 5
             else:
@@ -250,7 +252,7 @@ class Balance:
         return Balanced(values, total, residual, weight), slopes
 
     def regress(
-        self, found: Balanced, own: Array, inertia: float, torques: Array
+        self, balanced: Balanced, own: Array, inertia: float, torques: Array
     ) -> tuple[Array, float]:
         """Return coefficients (k,) of torques (points, k) [N.m] with the model's own slopes, and
         their gain [nats].
@@ -258,8 +260,8 @@ class Balance:
         columns = self.respond(torques / inertia)
         k = columns.shape[2]
         both = np.concatenate([columns, own], axis=2)
-        normal = np.einsum("s,snp,snq->pq", found.weight, both, both, optimize=True)
-        slope = np.einsum("s,snp,sn->p", found.weight, both, found.residual, optimize=True)
+        normal = np.einsum("s,snp,snq->pq", balanced.weight, both, both, optimize=True)
+        slope = np.einsum("s,snp,sn->p", balanced.weight, both, balanced.residual, optimize=True)
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         table = normal / np.outer(size, size) + 1e-9 * np.eye(len(size))
         answer = np.linalg.solve(table, slope / size) / size
@@ -300,30 +302,30 @@ class BalancedModel:
         self.fits: list[tuple[Balance, Balanced]] = []
         try:
             plain = balance.under_white_noise(servo.law, servo.effects, given)
-            found = plain.fit(servo.law, servo.effects, self.free, given)
+            balanced = plain.fit(servo.law, servo.effects, self.free, given)
             self.fits = [
-                (plain, found),
-                self.refit_with_noise(plain, servo.effects, self.free, found),
+                (plain, balanced),
+                self.refit_with_noise(plain, servo.effects, self.free, balanced),
             ]
         except NotStaticError:
             pass
 
     def refit_with_noise(
-        self, balance: Balance, effects: Names, free: Parameters, found: Balanced
+        self, balance: Balance, effects: Names, free: Parameters, balanced: Balanced
     ) -> tuple[Balance, Balanced]:
         """Return a fit under the noise of its own residual."""
         for _ in range(BALANCE_NOISE_PASSES):
-            residual = balance.residual(self.servo.law, effects, found.values)
+            residual = balance.residual(self.servo.law, effects, balanced.values)
             balance = balance.under(
-                self._estimate(residual, balance.weight(residual), found.values)
+                self._estimate(residual, balance.weight(residual), balanced.values)
             )
-            found = balance.fit(self.servo.law, effects, free, found.values)
-        return balance, found
+            balanced = balance.fit(self.servo.law, effects, free, balanced.values)
+        return balance, balanced
 
     @property
     def models(self) -> list[dict[str, float]]:
         """Parameters with which the model without further effects balances the torques."""
-        return [found.values for _, found in self.fits]
+        return [balanced.values for _, balanced in self.fits]
 
 
 @lru_cache(maxsize=64)

@@ -260,30 +260,32 @@ def rescored(problem: Problem, fit: Fit) -> Fit:
     )
 
 
-def scored(problem: Problem, point: FitPoint, found: Linearised) -> Fit:
+def scored(problem: Problem, point: FitPoint, linearised: Linearised) -> Fit:
     """Return the likelihood of what a simulation at a point has given."""
-    white = found.residual @ problem.noise.whiten.T
+    white = linearised.residual @ problem.noise.whiten.T
     mean, deviation = problem.prior_states(point.simulator, point.values)
     precision, offset = deviation**-2, mean - point.initial
-    elimination = Elimination.of(found.by_initial, white, precision, offset)
+    elimination = Elimination.of(linearised.by_initial, white, precision, offset)
     misfit_at_initial = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
     eliminated = misfit_at_initial - np.einsum(
         "si,si->s", elimination.gradient, elimination.step(elimination.gradient)
     )
-    misfit = np.where(found.good, np.maximum(eliminated, 0.0), FAILED_MISFIT)
+    misfit = np.where(linearised.good, np.maximum(eliminated, 0.0), FAILED_MISFIT)
     n = white.shape[1] - 2
-    cost = 0.5 * problem.noise.log_det + initial_state_price(elimination, precision) * found.good
+    cost = (
+        0.5 * problem.noise.log_det + initial_state_price(elimination, precision) * linearised.good
+    )
     score, score_at_initial = (
         -0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(each / T_DEGREES_OF_FREEDOM) - cost
-        for each in (misfit, np.where(found.good, misfit_at_initial, FAILED_MISFIT))
+        for each in (misfit, np.where(linearised.good, misfit_at_initial, FAILED_MISFIT))
     )
     score = np.where(problem.counted, score, 0.0)
     weight = np.where(
-        problem.counted & found.good,
+        problem.counted & linearised.good,
         (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit),
         0.0,
     )
-    by_parameter = found.by_parameter
+    by_parameter = linearised.by_parameter
     information = np.tensordot(
         weight, np.matmul(by_parameter.transpose(0, 2, 1), elimination.project(by_parameter)), 1
     )
@@ -295,14 +297,14 @@ def scored(problem: Problem, point: FitPoint, found: Linearised) -> Fit:
         point.initial,
         score,
         score_at_initial,
-        found.residual,
+        linearised.residual,
         white,
         by_parameter,
         elimination,
-        found.output_by_initial,
+        linearised.output_by_initial,
         weight,
         information + np.diag(curve),
-        found.good,
+        linearised.good,
         problem.noise,
         prior,
     )

@@ -108,7 +108,7 @@ def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
         gradient_of(fit),
         [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])],
     )
-    found = {}
+    gains = {}
     for i, f in enumerate(fit.free):
         if not (f.name.startswith(prefix) and f.at_binding_bound(fit.values[f.name])):
             continue
@@ -116,8 +116,8 @@ def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
         curvature = fit.information[np.ix_(active, active)]
         step = np.linalg.lstsq(curvature, gradient[active], rcond=1e-12)[0]
         if f.leaves(fit.values[f.name], float(step[-1])):
-            found[f.name] = 0.5 * float(gradient[active] @ step)
-    return found
+            gains[f.name] = 0.5 * float(gradient[active] @ step)
+    return gains
 
 
 def refit(

@@ -373,7 +373,7 @@ def free_parameters(
     """Return the free parameters of an effect: those with a start value, in their intervals and
     `limits`.
     """
-    found, effect = [], find_effect(name)
+    free, effect = [], find_effect(name)
     for p in effect.parameters:
         short = p.name.removeprefix(f"{name}.")
         if short not in start:
@@ -389,5 +389,5 @@ def free_parameters(
             max(low, limits.get(p.name, (low, high))[0]),
             min(high, limits.get(p.name, (low, high))[1]),
         )
-        found.append(Free(p.name, low, high, factor))
-    return tuple(found)
+        free.append(Free(p.name, low, high, factor))
+    return tuple(free)

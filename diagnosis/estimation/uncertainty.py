@@ -70,7 +70,7 @@ def refitted_estimates(
     Their intervals hold at both ends: they reach over what the segments gave (`before`) and over
     what the stretches give.
     """
-    found = dict(before)
+    refitted = dict(before)
     for f, deviation in zip(
         fit.free, np.sqrt(np.maximum(np.diag(block_covariance(fit)), 0.0)), strict=True
     ):
@@ -83,8 +83,8 @@ def refitted_estimates(
         ends += [first.value, *(first.ci95 or ())]
         low, high = model.allowed(f.name)
         ci95 = float(max(min(ends), low)), float(min(max(ends), high))
-        found[f.name] = Estimate(float(value), first.unit, ci95, f.at_bound(value))
-    return found
+        refitted[f.name] = Estimate(float(value), first.unit, ci95, f.at_bound(value))
+    return refitted
 
 
 def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
@@ -116,10 +116,12 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     columns = np.column_stack(
         [np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)]
     )
-    found = np.linalg.lstsq(columns, np.array(totals), rcond=None)[0]
-    uneven = math.sqrt(float(np.square(totals - columns @ found).sum()) / (len(steps) - len(found)))
+    coefficients = np.linalg.lstsq(columns, np.array(totals), rcond=None)[0]
+    uneven = math.sqrt(
+        float(np.square(totals - columns @ coefficients).sum()) / (len(steps) - len(coefficients))
+    )
     curvature = np.zeros((k, k))
-    for (i, j), c in zip(pairs, found[1 + k :], strict=True):
+    for (i, j), c in zip(pairs, coefficients[1 + k :], strict=True):
         curvature[i, j] -= c
         curvature[j, i] -= c
     fall = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2 + 2 * uneven
@@ -133,16 +135,16 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
 
 def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, Estimate]:
     """Return the free parameters with their `intervals`, within what each parameter may be."""
-    found = {}
+    estimated = {}
     for f, (least, most) in zip(fit.free, intervals(fit, problem), strict=True):
         if f.nominal is not None and f.name.startswith(f"{OWN_BRISTLES}."):
             continue
         low, high = model.allowed(f.name)
         ci95 = float(max(least, low)), float(min(most, high))
-        found[f.name] = Estimate(
+        estimated[f.name] = Estimate(
             float(fit.values[f.name]), model.unit(f.name), ci95, f.at_bound(fit.values[f.name])
         )
-    return found
+    return estimated
 
 
 def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, float]]:
@@ -154,7 +156,7 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     own = nonsmooth_parameters(fit, all_effects()) if problem is not None else []
     wide_at = parabola_half_widths(problem, fit, own) if problem is not None and own else {}
-    found = []
+    all_ends = []
     for f, each in zip(fit.free, deviation, strict=True):
         wide, value = (
             1.96 * (EDGE_INTERVAL_FACTOR if _has_edges(f.name) else INTERVAL_FACTOR) * each,
@@ -167,8 +169,8 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
         )
         if f.name in wide_at:
             ends += [perturbed(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
-        found.append((min(ends), max(ends)))
-    return found
+        all_ends.append((min(ends), max(ends)))
+    return all_ends
 
 
 def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bool:

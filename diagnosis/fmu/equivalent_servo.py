@@ -84,7 +84,7 @@ def search_bounds(model: Model, twin: EquivalentServo) -> dict[str, tuple[float,
     around = widened_bounds(model, twin.values)
     if twin.error <= FMU_CLOSE * twin.gap:
         return around
-    found = {}
+    bounds = {}
     for name, (low, high) in around.items():
         value = twin.values[name]
         ends = (
@@ -92,8 +92,8 @@ def search_bounds(model: Model, twin: EquivalentServo) -> dict[str, tuple[float,
             if value
             else (low, high)
         )
-        found[name] = (max(low, ends[0]), min(high, ends[1]))
-    return {name: (low, high) for name, (low, high) in found.items() if low < high}
+        bounds[name] = (max(low, ends[0]), min(high, ends[1]))
+    return {name: (low, high) for name, (low, high) in bounds.items() if low < high}
 
 
 def widened_bounds(model: Model, values: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -68,12 +68,12 @@ def _law_of(starts: Mapping[str, float]) -> str:
 
 def _effects_of(starts: Mapping[str, float]) -> dict[str, dict[str, float]]:
     """Return the effects that the FMU has parameters of, with these."""
-    found: dict[str, dict[str, float]] = {}
+    by_effect: dict[str, dict[str, float]] = {}
     for name, x in starts.items():
         effect, _, parameter = name.partition(".")
         if parameter and effect in effects():
-            found.setdefault(effect, {})[parameter] = x
-    return {effect: found[effect] for effect in effects() if effect in found}
+            by_effect.setdefault(effect, {})[parameter] = x
+    return {effect: by_effect[effect] for effect in effects() if effect in by_effect}
 
 
 def _output_of(fmu: Fmu, shown: str) -> dict[str, Any]:

@@ -154,10 +154,10 @@ def _distinct(lines: Sequence[Line]) -> list[Line]:
     return [line for k, line in enumerate(lines) if line not in lines[:k]]
 
 
-def _other(found: Sequence[Candidate], chosen: Candidate) -> tuple[Candidate, ...]:
+def _other(rivals: Sequence[Candidate], chosen: Candidate) -> tuple[Candidate, ...]:
     """Return the candidates of other columns, each column once."""
     names = {chosen.column.column: chosen}
-    for each in found:
+    for each in rivals:
         names.setdefault(each.column.column, each)
     return tuple(names.values())[1:]
 
@@ -320,23 +320,23 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
             "too little motion in these records for a regression; record steps of several sizes and"
             " slow motion"
         )
-    found: Regression = regress(reading.rows)
+    regression: Regression = regress(reading.rows)
     torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
-    scale = found.rows.scale  # rms of acceleration, speed and direction
-    positive = explained_share(replace(found.rows, free=found.rows.free[:, :0]))[1]
-    known = found.known(KNOWN_ERRORS)
+    scale = regression.rows.scale  # rms of acceleration, speed and direction
+    positive = explained_share(replace(regression.rows, free=regression.rows.free[:, :0]))[1]
+    known = regression.known(KNOWN_ERRORS)
     rough, doubts = {}, []
     for k, name in enumerate(("J", "a2", "Fc")):
-        value = found.value[k] if known[k] else positive[k]
+        value = regression.value[k] if known[k] else positive[k]
         most = LEVEL_SHARE * torque / float(scale[k])
         if name == "J" and not (known[k] and value > 0.0):
-            value = value if value > 0.0 else min(most, max(found.error[k], 1e-3 * most))
+            value = value if value > 0.0 else min(most, max(regression.error[k], 1e-3 * most))
             rough[name] = Rough(
                 _rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO)
             )
             doubts.append(finding(Reason.GUESSED_INERTIA))
             continue
-        error = float(found.error[k]) if known[k] else None
+        error = float(regression.error[k]) if known[k] else None
         value = _rounded(max(value, 0.0))
         low = _rounded(value / BOUND_RATIO) if name == "J" else 0.0
         rough[name] = Rough(

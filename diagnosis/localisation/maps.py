@@ -24,10 +24,10 @@ def residual_map(
     """Return the residual torques (samples,) averaged in bins of a view: fields of `View`, empty if
     it is not drawn.
     """
-    found = _axis(view, m)
-    if found is None:
+    axis = _axis(view, m)
+    if axis is None:
         return {}
-    x, groups, names = found
+    x, groups, names = axis
     low, high = np.quantile(x, [0.002, 0.998]).tolist()
     edges = np.linspace(low, high, bins + 1)
     if not edges[-1] > edges[0]:
@@ -52,10 +52,10 @@ def wave_map(
     fitted through the response: averages of the most likely torque are lower than the torque
     itself, the more so the faster a wave is passed.
     """
-    found = _axis(view, m)
-    if found is None or period is None or np.ptp(found[0]) <= period:
+    axis = _axis(view, m)
+    if axis is None or period is None or np.ptp(axis[0]) <= period:
         return {}
-    x, groups, names = found
+    x, groups, names = axis
     knots = np.linspace(0.0, period, MAP_PHASES + 1)
     table = np.column_stack(
         [np.interp(x, knots[:-1], row, period=period) for row in np.eye(MAP_PHASES)]

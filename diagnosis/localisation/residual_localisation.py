@@ -91,7 +91,7 @@ def _searched(
     own = [
         (clock == k)[:, None] * harmonics(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)
     ]
-    found: dict[str, tuple[Array, dict[str, Any]]] = {
+    tables: dict[str, tuple[Array, dict[str, Any]]] = {
         "tone": (
             np.column_stack(own),
             {"label": finding(Reason.WAVE_IN_TIME, frequency=tone), "frequency": tone},
@@ -114,11 +114,11 @@ def _searched(
         periods = float(turns[int(np.argmax(power))])
         label = finding(Reason.WAVE_ALONG_PATH, periods=periods, path=wording.range)
         waves = [f[:, None] * harmonics(periods * m.theta, 1) for f in factors]
-        found[view] = (
+        tables[view] = (
             np.column_stack(waves),
             {"label": label, "periods": periods},
         )
-    return found
+    return tables
 
 
 def _middle(response: ResidualResponse, rough: Array) -> NDArray[np.int_]:
@@ -151,18 +151,18 @@ def shares(
     for view, (waves, facts) in _searched(response, m, rough, wording).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         details[view] = facts
-    found = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
-    strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
+    predicted = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
+    strongest = np.max([draws[1:] for draws, _ in predicted.values()], axis=0)
     ps = {
         view: (chance(strongest, draws[0]), chance(draws[1:], draws[0]))
-        for view, (draws, _) in found.items()
+        for view, (draws, _) in predicted.items()
     }
     middle = _middle(response, rough).reshape(rough.shape)[live]
     highest = line_p(m.time[middle], clocks(m)[middle[:, 0]], rough[live], signs)
     ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
     whole = float(np.square(response.plain(response.rest[live][:, :, None], live)).mean())
     result = []
-    for view, (_, power) in found.items():
+    for view, (_, power) in predicted.items():
         result.append(
             Share(
                 view,

@@ -98,7 +98,7 @@ def _variables(dataset: Dataset, final: FittedModel) -> dict[str, Array]:
     by an unknown constant.
     """
     m, s = dataset.motion, dataset.segments
-    found = {
+    variables = {
         "v": m.v,
         "theta": m.theta,
         "u": m.u,
@@ -110,8 +110,8 @@ def _variables(dataset: Dataset, final: FittedModel) -> dict[str, Array]:
         for name, condition in (("theta", s.velocity and several), ("t", s.own_clocks))
         if condition
     }
-    taken = {name for name in found if f"unnamed_torque_{name}" in final.servo.effects}
-    return {name: x for name, x in found.items() if name not in unknown | taken}
+    taken = {name for name in variables if f"unnamed_torque_{name}" in final.servo.effects}
+    return {name: x for name, x in variables.items() if name not in unknown | taken}
 
 
 def _columns(response: ResidualResponse, hats: Array, values: Array) -> _Columns:

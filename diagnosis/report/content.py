@@ -59,7 +59,7 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
             "parameters": _estimates(d.parameters),
             "rounds": [_round(r) for r in d.rounds],
             "undetected": d.undetected,
-            "choices": {name: _estimates(found) for name, found in d.choices.items()},
+            "choices": {name: _estimates(chosen) for name, chosen in d.choices.items()},
             "seconds": d.seconds,
             "open_loop": [asdict(r) for r in d.whole.records] if d.whole else [],
             "whole_record": _whole(d.whole) if d.whole else None,
@@ -183,52 +183,56 @@ def _candidate(c: CandidateEffect) -> dict[str, Any]:
     }
 
 
-def _unnamed(found: UnnamedTorque) -> dict[str, Any]:
+def _unnamed(torque: UnnamedTorque) -> dict[str, Any]:
     curves = [
         {"variable": c.variable, "places": c.places, "torque": c.values, "half_width": c.half_width}
-        for c in found.curves
+        for c in torque.curves
     ]
     return {
-        "offered": found.offered,
-        "reason": not_offered(found.refused) if found.refused else "",
-        "share": found.share,
-        "rms_before": math.sqrt(found.before),
-        "rms_after": math.sqrt(found.after),
+        "offered": torque.offered,
+        "reason": not_offered(torque.refused) if torque.refused else "",
+        "share": torque.share,
+        "rms_before": math.sqrt(torque.before),
+        "rms_after": math.sqrt(torque.after),
         "functions": curves,
     }
 
 
-def _designed(found: DesignedInput) -> dict[str, Any]:
+def _designed(designed: DesignedInput) -> dict[str, Any]:
     known = {
-        "file": EXPERIMENT_FILE if found.written else None,
-        "rivals": list(found.rivals),
-        "gain": found.gain,
-        "level": found.level,
+        "file": EXPERIMENT_FILE if designed.written else None,
+        "rivals": list(designed.rivals),
+        "gain": designed.gain,
+        "level": designed.level,
     }
-    if not found.written:
+    if not designed.written:
         return known
     ends = {
-        "input_unit": found.unit,
-        "input_low": found.low,
-        "input_high": found.high,
-        "input_rms": found.rms,
+        "input_unit": designed.unit,
+        "input_low": designed.low,
+        "input_high": designed.high,
+        "input_rms": designed.rms,
     }
-    place = {"start": found.start, "position_low": found.reach[0], "position_high": found.reach[1]}
+    place = {
+        "start": designed.start,
+        "position_low": designed.reach[0],
+        "position_high": designed.reach[1],
+    }
     return {
         **known,
-        "motion": said(found.motion) if found.motion else "",
-        "seconds": float(found.time[-1] - found.time[0]),
+        "motion": said(designed.motion) if designed.motion else "",
+        "seconds": float(designed.time[-1] - designed.time[0]),
         **ends,
         **place,
     }
 
 
-def _whole(found: WholeRecords) -> dict[str, Any]:
+def _whole(whole: WholeRecords) -> dict[str, Any]:
     return {
-        "refitted": found.refitted,
-        "refitted_to": found.refitted_to if found.refitted else None,
-        "horizons": [asdict(h) for h in found.horizons],
-        "segment_parameters": _estimates(found.segment_parameters),
+        "refitted": whole.refitted,
+        "refitted_to": whole.refitted_to if whole.refitted else None,
+        "horizons": [asdict(h) for h in whole.horizons],
+        "segment_parameters": _estimates(whole.segment_parameters),
     }
 
 

@@ -77,21 +77,21 @@ def augment(
         return None
     if diagnosis.proposals:
         return None
-    found = {effect.name: effect.parameters for effect in diagnosis.effects}
+    added = {effect.name: effect.parameters for effect in diagnosis.effects}
     own = diagnosis.parameters
     if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
-        found = {
-            name: each for name, each in found.items() if name not in _mates(diagnosis, choose)
+        added = {
+            name: each for name, each in added.items() if name not in _mates(diagnosis, choose)
         }
         # and what was named before, as it is beside that
         own = diagnosis.choice_parameters.get(choose, own)
-        found = {
+        added = {
             name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()}
-            for name, each in found.items()
+            for name, each in added.items()
         }
-        found |= {choose: diagnosis.choices[choose]}
-    model = refitted_model(diagnosis.model, own or diagnosis.base, found)
-    return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
+        added |= {choose: diagnosis.choices[choose]}
+    model = refitted_model(diagnosis.model, own or diagnosis.base, added)
+    return Augmented(model, tuple(model.effects), tuple(added), _settings(model))
 
 
 def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) -> Augmented:
@@ -103,17 +103,17 @@ def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) ->
             f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect"
             " or fill, not both"
         )
-    found = {e.name: e.parameters for e in diagnosis.effects}
+    named = {e.name: e.parameters for e in diagnosis.effects}
     own = {
         **(diagnosis.parameters or diagnosis.base),
-        **{f"{e}.{key}": x for e, given in found.items() for key, x in given.items()},
+        **{f"{e}.{key}": x for e, given in named.items() for key, x in given.items()},
     }
     beside = {name: replace(e, value=unnamed.values.get(name, e.value)) for name, e in own.items()}
-    effects = {e: {key: beside[f"{e}.{key}"] for key in given} for e, given in found.items()}
+    effects = {e: {key: beside[f"{e}.{key}"] for key in given} for e, given in named.items()}
     model = refitted_model(diagnosis.model, beside, effects)
     curves = {curve.effect: curve.parameters for curve in unnamed.curves}
     model = replace(model, effects={**model.effects, **curves})
-    return Augmented(model, tuple(model.effects), (*found, *curves), _settings(model))
+    return Augmented(model, tuple(model.effects), (*named, *curves), _settings(model))
 
 
 def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
@@ -144,7 +144,7 @@ def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
 
 
 def refitted_model(
-    model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]
+    model: Model, own: Mapping[str, Estimate], added: Mapping[str, Mapping[str, Estimate]]
 ) -> Model:
     """Return the model with fitted values; its bounds give way where a value lies outside, so that
     the file reads back.
@@ -162,7 +162,7 @@ def refitted_model(
         effect, _, parameter = name.partition(".")
         if effect in effects:
             effects[effect][parameter] = e.value
-    for effect, estimates in found.items():
+    for effect, estimates in added.items():
         declared = {
             p.name.removeprefix(f"{effect}."): p.default for p in find_effect(effect).parameters
         }

@@ -21,7 +21,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.proposals:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     if not _not_enough(diagnosis):
-        return _found(diagnosis)
+        return _verdict_sentence(diagnosis)
     if (
         diagnosis.verdict == "none"
         and diagnosis.agreement is not None
@@ -36,8 +36,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
     if diagnosis.verdict == "named":
         return f"{NOT_ENOUGH}: {_lacking(diagnosis)}"
-    found = _found(diagnosis)
-    return f"{NOT_ENOUGH}: {found[0].lower()}{found[1:]}"
+    sentence = _verdict_sentence(diagnosis)
+    return f"{NOT_ENOUGH}: {sentence[0].lower()}{sentence[1:]}"
 
 
 def mark(diagnosis: Diagnosis) -> tuple[str, str]:
@@ -78,7 +78,7 @@ def _lacking(diagnosis: Diagnosis) -> str:
     )
 
 
-def _found(diagnosis: Diagnosis) -> str:
+def _verdict_sentence(diagnosis: Diagnosis) -> str:
     wording = diagnosis.model.wording
     if diagnosis.verdict == "named":
         return f"The model lacks: {_lacking(diagnosis)}"

@@ -80,10 +80,10 @@ def interval(value: float, low: float, high: float) -> Markup:
     """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with
     both ends if lopsided.
     """
-    found = rounded(value, low, high)
-    if found is None:
+    texts_and_power = rounded(value, low, high)
+    if texts_and_power is None:
         return number(value)
-    texts, power = found
+    texts, power = texts_and_power
     mid, below, above, spread = (text.replace("-", "−") for text in texts)
     lopsided = abs(high + low - 2 * value) > 0.1 * (high - low)
     text = (
@@ -121,7 +121,7 @@ def _effects(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
             for each in diagnosis.effects
         ],
         "ties": [effects_listed(tie, "or", wording) for tie in diagnosis.ties],
-        "choices": [described(name, found) for name, found in diagnosis.choices.items()],
+        "choices": [described(name, choice) for name, choice in diagnosis.choices.items()],
         "chosen": None if choose is None else effect_name(choose, wording),
         "undetected": {
             effect_name(name, wording): text for name, text in diagnosis.undetected.items()
@@ -130,15 +130,15 @@ def _effects(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
     }
 
 
-def _round(found: Round, wording: Wording) -> dict[str, Any]:
-    tried = (each for each in found.candidates if math.isfinite(each.gain))
+def _round(search_round: Round, wording: Wording) -> dict[str, Any]:
+    tried = (each for each in search_round.candidates if math.isfinite(each.gain))
     best = max(tried, key=lambda each: each.gain, default=None)
     return {
         "best": None if best is None else effect_name(best.name, wording),
         "gain": None if best is None else best.gain,
-        "null_level": found.null_level,
-        "p": found.p,
-        "decision": words_of(found.decision),
+        "null_level": search_round.null_level,
+        "p": search_round.p,
+        "decision": words_of(search_round.decision),
     }
 
 
@@ -170,8 +170,8 @@ def _model(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
     if diagnosis.whole is not None and diagnosis.whole.refitted:
         before = "of the segments, before the refit to whole records"
         columns[before] = diagnosis.whole.segment_parameters
-    for name, found in diagnosis.choice_parameters.items():
-        columns[f"with {name}" + (" (chosen)" if name == choose else "")] = found
+    for name, estimates in diagnosis.choice_parameters.items():
+        columns[f"with {name}" + (" (chosen)" if name == choose else "")] = estimates
     units = {name: diagnosis.model.unit(name) for name in diagnosis.model.values}
     units |= {name: e.unit for column in columns.values() for name, e in column.items()}
     excited = {key: each for key, each in diagnosis.excitation.items() if each != ""}

@@ -28,28 +28,26 @@ def _declared() -> dict[str, Parameter]:
     return {"J": J, "a2": A2, **{p.name.rpartition(".")[2]: p for p in law("coulomb").parameters}}
 
 
-def resolution_of(found: Proposal) -> tuple[float, str] | None:
+def resolution_of(proposal: Proposal) -> tuple[float, str] | None:
     """Return the step that the output shows, in SI and as text in the unit of its column; None if
     it shows none.
     """
-    step = max((record.resolution or 0.0 for record in found.records), default=0.0)
+    step = max((record.resolution or 0.0 for record in proposal.records), default=0.0)
     if not step:
         return None
-    unit = parse_unit(found.output.column.unit)
-    scale = found.output.column.scale
+    unit = parse_unit(proposal.output.column.unit)
+    scale = proposal.output.column.scale
     number, _, over = (scale or "1 1").partition(" ")
     factor = abs(unit.factor * float(number) * parse_unit(over or "1").factor)
     return step, f"{step / factor:.6g}"
 
 
-def model_text(found: Proposal, command: str) -> str:
+def model_text(proposal: Proposal, command: str) -> str:
     """Return the model file; `command` is what to do with it next."""
+    names = ", ".join(path.name for path in proposal.paths)
     lines = [
-        (
-            f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check"
-            " what is assumed:"
-        ),
-        *(f"#   - {said(line)}" for line in found.doubts or ("nothing",)),
+        f"# Proposed by bristle init from {names}; check what is assumed:",
+        *(f"#   - {said(line)}" for line in proposal.doubts or ("nothing",)),
         f"# Next: {command}",
         "",
         _with('friction = "coulomb"', "bristle list names other friction laws"),
@@ -59,23 +57,23 @@ def model_text(found: Proposal, command: str) -> str:
             "rough, from a regression of the input; any effect that is missing biases it",
         ),
     ]
-    lines += _parameter_lines(found)
+    lines += _parameter_lines(proposal)
     lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
-    lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in found.rough.items()]
+    lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in proposal.rough.items()]
     for role in ("time", "input", "output"):
-        candidate: Candidate = getattr(found, role)
+        candidate: Candidate = getattr(proposal, role)
         lines += ["", f"[{role}]", *_declaration(candidate)]
-        lines += [_sensor_line(found)] if role == "output" else []
-        for other in found.others[role]:
+        lines += [_sensor_line(proposal)] if role == "output" else []
+        for other in proposal.others[role]:
             lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
     return "\n".join(lines) + "\n"
 
 
-def _parameter_lines(found: Proposal) -> list[str]:
+def _parameter_lines(proposal: Proposal) -> list[str]:
     """Return a line for each rough parameter, with its unit and what is known of it."""
-    linear, kind = found.output.linear, found.input.kind
+    linear, kind = proposal.output.linear, proposal.input.kind
     gain, declared, lines = kind in ("voltage", "current"), _declared(), []
-    for name, rough in found.rough.items():
+    for name, rough in proposal.rough.items():
         about = (
             f"+- {rough.error:.2g}"
             if rough.error is not None
@@ -101,20 +99,20 @@ def _parameter_lines(found: Proposal) -> list[str]:
     return lines
 
 
-def _sensor_line(found: Proposal) -> str:
+def _sensor_line(proposal: Proposal) -> str:
     """Return what is declared of the output's steps."""
-    if found.differences:
+    if proposal.differences:
         return _with("differences = true", "of the readings of a position: it is summed to that")
-    shown = resolution_of(found)
+    shown = resolution_of(proposal)
     return f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps"
 
 
-def next_command(found: Proposal, out: Path) -> str:
+def next_command(proposal: Proposal, out: Path) -> str:
     """Return the command that diagnoses the records with the model file."""
-    return shlex.join(["bristle", "diagnose", str(out), "--data", *map(str, found.paths)])
+    return shlex.join(["bristle", "diagnose", str(out), "--data", *map(str, proposal.paths)])
 
 
-def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
+def write_model(proposal: Proposal, out: Path, replace_it: bool = False) -> None:
     """Write the model file, whole or not at all; `BristleError` if it exists and is not to be
     replaced.
     """
@@ -122,7 +120,7 @@ def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
         raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
     if out.is_dir() or (os.path.lexists(out) and not replace_it):
         raise BristleError(f"{out}: exists already; give another name, or allow it to be replaced")
-    text = model_text(found, next_command(found, out))
+    text = model_text(proposal, next_command(proposal, out))
     Model.from_dict(tomllib.loads(text), out)
     with output_folder(out.parent):
         replace_file(out, text.encode())
@@ -149,33 +147,33 @@ def _declaration(candidate: Candidate) -> list[str]:
     )
 
 
-def summary(found: Proposal) -> list[str]:
+def summary(proposal: Proposal) -> list[str]:
     """Return what was chosen, what the records excite and what is not certain, for a terminal."""
-    x, first = found.excited.numbers, found.records[0]
-    linear = found.output.linear
-    shown = resolution_of(found)
+    x, first = proposal.excited.numbers, proposal.records[0]
+    linear = proposal.output.linear
+    shown = resolution_of(proposal)
     steps = f", in steps of {shown[1]}" if shown else ", without steps"
     steps = (
         ", as differences of a position's readings: it is summed to that"
-        if found.differences
+        if proposal.differences
         else steps
     )
     lines = [
-        f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms{_or(found, 'time')}",
-        f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",
-        f"output  {_of(found.output)}, {found.output.kind}{steps}{_or(found, 'output')}",
+        f"time    {_of(proposal.time)}, every {1e3 * first.h:.4g} ms{_or(proposal, 'time')}",
+        f"input   {_of(proposal.input)}, {proposal.input.kind}{_or(proposal, 'input')}",
+        f"output  {_of(proposal.output)}, {proposal.output.kind}{steps}{_or(proposal, 'output')}",
     ]
     units = _declared()
     values = ", ".join(
-        f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}"
-        for n, r in found.rough.items()
+        f"{n} {r.value:g} {own_unit(units[n], linear, proposal.input.kind)}"
+        for n, r in proposal.rough.items()
     )
     per = (
         ""
-        if found.input.kind in ("torque", "force")
-        else f", for b = 1 {own_unit(B, linear, found.input.kind)}"
+        if proposal.input.kind in ("torque", "force")
+        else f", for b = 1 {own_unit(B, linear, proposal.input.kind)}"
     )
-    lines.append(f"rough   {values}{per}; they explain {found.explained:.0%} of the input")
+    lines.append(f"rough   {values}{per}; they explain {proposal.explained:.0%} of the input")
     length = "m" if linear else "rad"
     speed, band = x["speed_range"], x["input_bandwidth"]["value"]
     lines.append(
@@ -183,16 +181,16 @@ def summary(found: Proposal) -> list[str]:
         f" {speed['highest']:.3g} {length}/s, range {x['range_travelled']['value']:.3g} {length},"
         f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
     )
-    notes = [*found.doubts, *(line for record in found.records for line in record.findings)]
-    if found.excited.uniform:
-        why = said(found.excited.uniform)
+    notes = [*proposal.doubts, *(line for record in proposal.records for line in record.findings)]
+    if proposal.excited.uniform:
+        why = said(proposal.excited.uniform)
         notes.append(f"these records cannot tell effects apart by form: {why}")
-    return [*lines, *(f"  - {said(line)}" for line in (*notes, *found.excited.caveats))]
+    return [*lines, *(f"  - {said(line)}" for line in (*notes, *proposal.excited.caveats))]
 
 
-def _or(found: Proposal, role: str) -> str:
+def _or(proposal: Proposal, role: str) -> str:
     """Return the other columns that may have a role."""
-    names = [f"'{each.column.column}'" for each in found.others[role]]
+    names = [f"'{each.column.column}'" for each in proposal.others[role]]
     return f" (or {', '.join(names)})" if names else ""
 
 

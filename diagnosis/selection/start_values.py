@@ -294,13 +294,13 @@ def balance_starts(context: SearchContext, model: BalancedModel, name: str) -> l
     that does not show it.
     """
     try:
-        found = []
+        fits = []
         for balance, base in model.fits:
             starts = context.start_values(name, _balance_evidence(context, model, balance, base))
-            found += _balance_fits(model, balance, base, name, starts)
+            fits += _balance_fits(model, balance, base, name, starts)
     except BristleError:
         return []
-    return [max(found, key=lambda each: each[0])[1]] if found else []
+    return [max(fits, key=lambda each: each[0])[1]] if fits else []
 
 
 def _balance_fits(
@@ -319,25 +319,25 @@ def _balance_fits(
             (balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start)
         )
     trials.sort(key=lambda trial: -trial[0].total)
-    found = []
+    fits = []
     for best, free, start in trials[:BALANCE_FINALISTS]:
         _, best = model.refit_with_noise(balance, effects, free, best)
-        found.append(
+        fits.append(
             (
                 best.total,
                 JointStart(best.values, {key: best.values[f"{name}.{key}"] for key in start}),
             )
         )
-    return found
+    return fits
 
 
 def _balance_evidence(
-    context: SearchContext, model: BalancedModel, balance: Balance, found: Balanced
+    context: SearchContext, model: BalancedModel, balance: Balance, balanced: Balanced
 ) -> Evidence:
     """Return what effects derive their start values from, given the residual of the inverse
     dynamics.
     """
-    m, values = balance.motion, found.values
+    m, values = balance.motion, balanced.values
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(
         m.theta,
@@ -350,6 +350,6 @@ def _balance_evidence(
         values["J"],
         dry_friction(model.free, values, m.u),
         values["b"],
-        lambda torques: balance.regress(found, own, values["J"], torques),
+        lambda torques: balance.regress(balanced, own, values["J"], torques),
         context.dataset.turn,
     )

@@ -138,17 +138,17 @@ def _unfinished(
 
 
 def _added(
-    context: SearchContext, base: FittedModel, found: TrialRound
+    context: SearchContext, base: FittedModel, latest: TrialRound
 ) -> tuple[FittedModel, list[str]]:
     """Return the model with the best candidate and without what is no longer needed, and the names
     of that.
     """
-    assert found.best is not None
+    assert latest.best is not None
     try:
-        with_effect = replace(context, fitted=add_effect(context, found.best, found.level))
-        return backward_elimination(with_effect, base, found.level)
+        with_effect = replace(context, fitted=add_effect(context, latest.best, latest.level))
+        return backward_elimination(with_effect, base, latest.level)
     except OutOfTime:  # as it was compared with the others
-        return with_candidate(context, found.best).fitted, []
+        return with_candidate(context, latest.best).fitted, []
 
 
 def _next_round(
@@ -176,78 +176,78 @@ def propose_effect(
     """Return a round with its outcome: an effect to add (outcome "added"), or why there is none;
     `further`: beside others.
     """
-    found = evaluate_candidates(context, names, effort)
-    return found if found.best is None else decide(context, found, further)
+    latest = evaluate_candidates(context, names, effort)
+    return latest if latest.best is None else decide(context, latest, further)
 
 
-def decide(context: SearchContext, found: TrialRound, further: bool = False) -> TrialRound:
+def decide(context: SearchContext, latest: TrialRound, further: bool = False) -> TrialRound:
     """Return a round with the decision on its best candidate; its strength must not be nothing, and
     of a `further` one be known.
     """
-    if not found.assessment.accepted:
-        found = retry_with_shape(context, found)
+    if not latest.assessment.accepted:
+        latest = retry_with_shape(context, latest)
     return (
-        _without_worth(context, found)
-        or _beside_rivals(found)
-        or _at_limits(found)
-        or _by_strength(context, found, further)
+        _without_worth(context, latest)
+        or _beside_rivals(latest)
+        or _at_limits(latest)
+        or _by_strength(context, latest, further)
     )
 
 
-def _without_worth(context: SearchContext, found: TrialRound) -> TrialRound | None:
+def _without_worth(context: SearchContext, latest: TrialRound) -> TrialRound | None:
     """Return a round whose best candidate does not meet the criterion, or only seems to."""
-    assert found.best is not None
-    name, objection = found.best.name, found.assessment.objection
+    assert latest.best is not None
+    name, objection = latest.best.name, latest.assessment.objection
     if objection is not None:
-        return found.rejected(finding(Reason.UNMET, effect=name, objection=objection))
-    if is_wave_harmonic(context.dataset, context.fitted, found.best):
-        return found.rejected(finding(Reason.HARMONIC, effect=name))
+        return latest.rejected(finding(Reason.UNMET, effect=name, objection=objection))
+    if is_wave_harmonic(context.dataset, context.fitted, latest.best):
+        return latest.rejected(finding(Reason.HARMONIC, effect=name))
     return None
 
 
-def _beside_rivals(found: TrialRound) -> TrialRound | None:
+def _beside_rivals(latest: TrialRound) -> TrialRound | None:
     """Return a round whose best candidate is not known to be the best."""
-    assert found.best is not None
-    name, ties = found.best.name, found.said.ties
-    if found.said.unfinished:
-        return found.rejected(finding(Reason.OTHERS_UNFINISHED, effect=name), keep_ties=True)
+    assert latest.best is not None
+    name, ties = latest.best.name, latest.said.ties
+    if latest.said.unfinished:
+        return latest.rejected(finding(Reason.OTHERS_UNFINISHED, effect=name), keep_ties=True)
     if any(group(other) != group(name) for other in ties):
-        return found.with_said(decision=finding(Reason.TIE, effects=(name, *ties)), outcome="tie")
+        return latest.with_said(decision=finding(Reason.TIE, effects=(name, *ties)), outcome="tie")
     return None
 
 
-def _at_limits(found: TrialRound) -> TrialRound | None:
+def _at_limits(latest: TrialRound) -> TrialRound | None:
     """Return a round whose best candidate gains by the steps of the simulation, or presses against
     the end of what it can be.
     """
-    assert found.best is not None
-    assert found.best.fit is not None
-    name, gain, finer = found.best.name, found.said.gain, found.said.finer_gain
-    if finer is not None and numerical(gain, finer, found.level):
+    assert latest.best is not None
+    assert latest.best.fit is not None
+    name, gain, finer = latest.best.name, latest.said.gain, latest.said.finer_gain
+    if finer is not None and numerical(gain, finer, latest.level):
         artefact = finding(Reason.NUMERICAL, effect=name, gain=gain, finer_gain=finer)
-        return found.rejected(artefact, keep_ties=True)
+        return latest.rejected(artefact, keep_ties=True)
     ends = {
-        key: found.best.fit.values[key]
-        for key, gain in pressed_bounds(found.best.fit, f"{name}.").items()
+        key: latest.best.fit.values[key]
+        for key, gain in pressed_bounds(latest.best.fit, f"{name}.").items()
         if gain > NATS_PER_PARAMETER
     }
     return (
-        found.limited(finding(Reason.BOUND, effect=name, ends=tuple(ends.items())))
+        latest.limited(finding(Reason.BOUND, effect=name, ends=tuple(ends.items())))
         if ends
         else None
     )
 
 
-def _by_strength(context: SearchContext, found: TrialRound, further: bool) -> TrialRound:
+def _by_strength(context: SearchContext, latest: TrialRound, further: bool) -> TrialRound:
     """Return a round whose best candidate is added if its strength is known well enough."""
-    assert found.best is not None
-    assert found.best.fit is not None
-    name, share = found.best.name, STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
-    if strength_is_known(found.best.fit, context.own_noise(found.best.fit), name, share=share):
-        return found.with_said(decision=finding(Reason.ADDED, effect=name), outcome="added")
+    assert latest.best is not None
+    assert latest.best.fit is not None
+    name, share = latest.best.name, STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
+    if strength_is_known(latest.best.fit, context.own_noise(latest.best.fit), name, share=share):
+        return latest.with_said(decision=finding(Reason.ADDED, effect=name), outcome="added")
     if further:
-        return found.rejected(finding(Reason.UNKNOWN_STRENGTH, effect=name))
-    return found.limited(finding(Reason.STANDS_IN, effects=(name,)))
+        return latest.rejected(finding(Reason.UNKNOWN_STRENGTH, effect=name))
+    return latest.limited(finding(Reason.STANDS_IN, effects=(name,)))
 
 
 def evaluate_candidates(
@@ -279,20 +279,20 @@ def required_gain(
     return (1.0 if candidate.credible(credible) else CERTAIN_LEVELS) * null.level(candidate.name)
 
 
-def retry_with_shape(context: SearchContext, found: TrialRound) -> TrialRound:
+def retry_with_shape(context: SearchContext, latest: TrialRound) -> TrialRound:
     """Return the round with the shape of its best candidate fitted too; the same round if that
     gains too little.
 
     With a wrong shape an effect lowers the error in some segments and raises it in others.
     """
-    assert found.best is not None
-    extended = with_candidate(context, found.best)
-    end = refit_shape(extended, found.best.name, found.level)
+    assert latest.best is not None
+    extended = with_candidate(context, latest.best)
+    end = refit_shape(extended, latest.best.name, latest.level)
     if end is extended.fitted:
-        return found
-    tried = [replace(c, fit=end.fit) if c.name == found.best.name else c for c in found.trials]
+        return latest
+    tried = [replace(c, fit=end.fit) if c.name == latest.best.name else c for c in latest.trials]
     return accept_or_reject(
-        context, tried, [c for c in tried if c.assessment is not None], found.null
+        context, tried, [c for c in tried if c.assessment is not None], latest.null
     )
 
 
@@ -308,7 +308,7 @@ def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:
     )
 
 
-def residual_has_structure(context: SearchContext, found: TrialRound, taken: set[str]) -> bool:
+def residual_has_structure(context: SearchContext, latest: TrialRound, taken: set[str]) -> bool:
     """True if a view predicts the residual of a model, or a candidate of the last round outside
     `taken` classes gains by it.
     """
@@ -318,11 +318,11 @@ def residual_has_structure(context: SearchContext, found: TrialRound, taken: set
     ):
         return True
     response = context.response
-    for c in found.trials:
+    for c in latest.trials:
         for directions in c.directions if group(c.name) not in taken else ():
             score = np.einsum(
                 "s,snk,sn->k", response.weight, directions, response.rest, optimize=True
             )
-            if 0.5 * float(score @ score) > HOPEFUL_LEVELS * found.null.level(c.name):
+            if 0.5 * float(score @ score) > HOPEFUL_LEVELS * latest.null.level(c.name):
                 return True
     return False

@@ -18,7 +18,7 @@ from bristle.diagnosis.estimation.simulator import Free
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 
 
-def wider_bounds(case: PreparedCase, found: Fit) -> Finding | None:
+def wider_bounds(case: PreparedCase, fit: Fit) -> Finding | None:
     """Return a proposal where wider bounds alone explain the records better than the effects found
     within them.
     """
@@ -35,10 +35,10 @@ def wider_bounds(case: PreparedCase, found: Fit) -> Finding | None:
     # half of the Bayesian information criterion's penalty for the effects' parameters
     price = (
         0.5
-        * (len(found.free) - len(wide.fit.free))
+        * (len(fit.free) - len(wide.fit.free))
         * math.log(np.count_nonzero(case.dataset.train) + 1.0)
     )
-    worse = wide.fit.total < found.total - price
+    worse = wide.fit.total < fit.total - price
     return None if worse else widening(case.model, tight, wide.fit.values)
 
 

@@ -46,9 +46,9 @@ class _Design:
         """Pairs that are to be told apart, both ways: those of different classes, if there are
         several.
         """
-        found = list(permutations(self.rivals, 2))
-        apart = [(a, b) for a, b in found if _class_of(a) != _class_of(b)]
-        return apart or found
+        pairs = list(permutations(self.rivals, 2))
+        apart = [(a, b) for a, b in pairs if _class_of(a) != _class_of(b)]
+        return apart or pairs
 
     def outputs(self, u: Array) -> list[Array] | None:
         """Return the outputs of the rivals, or None if an input or the motion leaves the limits
@@ -56,7 +56,7 @@ class _Design:
         """
         if not self.limits.allow_input(u):
             return None
-        found = []
+        outputs = []
         for rival in self.rivals:
             y = self._kept(rival, u)
             rng = np.random.default_rng(0)
@@ -64,8 +64,8 @@ class _Design:
             shaken = [disturbed(u, fit.noise, fit.values["b"], h, rng) for _ in range(DISTURBANCES)]
             if y is None or any(self._kept(rival, each) is None for each in shaken):
                 return None
-            found.append(y)
-        return found
+            outputs.append(y)
+        return outputs
 
     def _kept(self, rival: Rival, u: Array) -> Array | None:
         """Return the output of a rival if its motion keeps to the limits."""

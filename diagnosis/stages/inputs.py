@@ -204,22 +204,22 @@ def inputs(
     """
     n, h = samples
     spare = min(limits.u[1], -limits.u[0]) * abs(axis.gain) - axis.friction
-    found = []
+    proposed = []
     for seed in range(DRAWS if spare > 0 else 0):
         rng = np.random.default_rng(seed)
         plan = planned(rng, axis, limits, spare, h)
         drawn = steps(rng, axis, plan, n, follow)
-        found.append(Input(finding(Reason.MANY_STEPS), (drawn,)))
+        proposed.append(Input(finding(Reason.MANY_STEPS), (drawn,)))
     if axis.friction > 0:
-        found.append(Input.at_levels(finding(Reason.SLOW_RAMPS), ramps(axis, n, h)))
+        proposed.append(Input.at_levels(finding(Reason.SLOW_RAMPS), ramps(axis, n, h)))
     for u in recorded:
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
-        found.append(Input.at_levels(finding(Reason.RECORDED_INPUT), np.resize(u, n)))
-        found.append(Input.at_levels(finding(Reason.QUICKENED_INPUT), np.resize(quick, n)))
+        proposed.append(Input.at_levels(finding(Reason.RECORDED_INPUT), np.resize(u, n)))
+        proposed.append(Input.at_levels(finding(Reason.QUICKENED_INPUT), np.resize(quick, n)))
         for seed in range(VARIED_DRAWS):
             other = varied(np.random.default_rng(seed), u, n, h)
-            found.append(Input.at_levels(finding(Reason.VARIED_INPUT), other))
-    return found
+            proposed.append(Input.at_levels(finding(Reason.VARIED_INPUT), other))
+    return proposed
 
 
 def planned(rng: np.random.Generator, axis: Axis, limits: Limits, spare: float, h: float) -> Plan:

@@ -91,11 +91,11 @@ class Records:
         """Return growing horizons, from above the length of a segment [s] to the length of the
         longest record.
         """
-        found, longest = [], self.seconds
+        lengths, longest = [], self.seconds
         while WHOLE_RATIO * GROWTH * segment < longest:
             segment *= GROWTH
-            found.append(segment)
-        return [*found, longest]
+            lengths.append(segment)
+        return [*lengths, longest]
 
     def stretches(self, seconds: float, bins: int = LONG_BINS) -> Segments:
         """Return the records cut into stretches of so many seconds or, if they are shorter, whole

@@ -65,8 +65,8 @@ def validated_fmu(
     goes before the `notes`.
     """
     simulator = FmuSimulator(fmu, model.output_kind == "velocity", timeout)
-    found = validated(fmu.path.name, model, records, simulator.open_loop, notes)
-    return replace(found, notes=(*simulator.notes(), *found.notes))
+    validation = validated(fmu.path.name, model, records, simulator.open_loop, notes)
+    return replace(validation, notes=(*simulator.notes(), *validation.notes))
 
 
 def on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Record], list[Finding]]:

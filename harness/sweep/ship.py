@@ -32,19 +32,19 @@ def unpacked(sweep: Sweep) -> Sweep:
     if not sweep.files:
         return sweep
     with _unpacking:
-        if sweep.name not in _found:
+        if sweep.name not in _unpacked_fmus:
             _keep_memory()
             places = _written(sweep.files)
-            _found[sweep.name] = {
+            _unpacked_fmus[sweep.name] = {
                 key: {name: _moved(fmu, places) for name, fmu in each.items()}
                 for key, each in sweep.fmus.items()
             }
-    return replace(sweep, fmus=_found[sweep.name], files={})
+    return replace(sweep, fmus=_unpacked_fmus[sweep.name], files={})
 
 
 _unpacking = threading.Lock()
 # the FMUs of a sweep on this machine, by its name
-_found: dict[str, Mapping[str, dict[str, Fmu]]] = {}
+_unpacked_fmus: dict[str, Mapping[str, dict[str, Fmu]]] = {}
 _folders: list[TemporaryFolder] = []  # which live as long as the process
 
 

@@ -204,10 +204,10 @@ def worst_part(
 
 
 def _overlay(diagnosis: Diagnosis) -> Any:
-    found = worst_part(diagnosis.traces)
-    if found is None:
+    worst_stretch = worst_part(diagnosis.traces)
+    if worst_stretch is None:
         return None
-    trace, part = found
+    trace, part = worst_stretch
     model, both = diagnosis.model, improved(diagnosis)
     figure = new_figure(11.0, 6.1)
     grid = figure.add_gridspec(3, 1, height_ratios=[0.7, 1.7, 1.0], hspace=0.5)
@@ -464,16 +464,16 @@ def _gap_seen(diagnosis: Diagnosis) -> str:
     ]
     rows += [("after", diagnosis.gap.after)] if improved(diagnosis) else []
     rows += [("noise floor", drawn_floor(diagnosis))]
-    found = [(name, *rms(square, output_unit)) for name, square in rows]
+    measured = [(name, *rms(square, output_unit)) for name, square in rows]
     return ", ".join(
-        f"{name} {value:.3g} {unit}" for name, value, unit in found if math.isfinite(value)
+        f"{name} {value:.3g} {unit}" for name, value, unit in measured if math.isfinite(value)
     )
 
 
 def _overlay_seen(diagnosis: Diagnosis) -> str:
-    found = worst_part(diagnosis.traces)
-    assert found is not None
-    trace, part = found
+    worst_stretch = worst_part(diagnosis.traces)
+    assert worst_stretch is not None
+    trace, part = worst_stretch
     ends = f"{trace.name} from {trace.time[part][0]:.4g} to {trace.time[part][-1]:.4g} s: "
     words = []
     for name, values in (("before", trace.before), ("after", trace.after))[
@@ -530,16 +530,16 @@ def _candidates_seen(diagnosis: Diagnosis) -> str:
 
 def _open_loop_seen(diagnosis: Diagnosis) -> str:
     assert diagnosis.whole is not None
-    found = diagnosis.whole.records[worst(diagnosis.whole)]
-    rows = [("before", found.rms_before, found.fit_before)] if improved(diagnosis) else []
-    rows.append(("after" if improved(diagnosis) else "", found.rms_after, found.fit_after))
-    factor, unit = shown(found.unit)
+    record = diagnosis.whole.records[worst(diagnosis.whole)]
+    rows = [("before", record.rms_before, record.fit_before)] if improved(diagnosis) else []
+    rows.append(("after" if improved(diagnosis) else "", record.rms_after, record.fit_after))
+    factor, unit = shown(record.unit)
     known = [row for row in rows if math.isfinite(row[1])]
     words = [
         f"rms error {factor * each:.3g} {unit}, FIT {fit:.4g} % {name}".strip()
         for name, each, fit in known
     ]
-    return f"{found.record} in open loop: " + (", ".join(words) or "the simulation fails")
+    return f"{record.record} in open loop: " + (", ".join(words) or "the simulation fails")
 
 
 def _horizons_seen(diagnosis: Diagnosis) -> str:

@@ -89,15 +89,15 @@ def horizon_figure(curves: Sequence[DrawnModel], si: str) -> Any:
     from matplotlib.ticker import LogLocator, NullLocator
 
     factor, name = shown(si)
-    found = [
+    points_by_curve = [
         (curve, [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0])
         for curve in curves
     ]
-    if not any(points for _, points in found):
+    if not any(points for _, points in points_by_curve):
         return None
     figure = new_figure(11.0, 3.2)
     ax = figure.subplots()
-    for curve, points in found:
+    for curve, points in points_by_curve:
         if points:
             ax.plot(
                 *zip(*points, strict=True),

@@ -10,28 +10,30 @@ from bristle.diagnosis.report.text.said import said
 EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tell rivals apart
 
 
-def designed_line(found: DesignedInput | None, model: Model) -> str:
+def designed_line(designed: DesignedInput | None, model: Model) -> str:
     """Return what to play back and what it is expected to tell, or that nothing within the limits
     would; empty for None.
     """
-    if found is None:
+    if designed is None:
         return ""
-    effects = [effect_name(name, model.wording) for name in found.rivals if name]
-    names = listed([*effects, *(["no further effect"] if "" in found.rivals else [])], "and")
-    if not found.written:
+    effects = [effect_name(name, model.wording) for name in designed.rivals if name]
+    names = listed([*effects, *(["no further effect"] if "" in designed.rivals else [])], "and")
+    if not designed.written:
         return (
             "No input was found that keeps to the range of input and position of these records and"
-            f" tells apart {names}: the best one is expected to bring {found.gain:.2g} nats, of"
-            f" {found.level:.2g} that are needed ({NATS}). Widen the range, or the input."
+            f" tells apart {names}: the best one is expected to bring {designed.gain:.2g} nats, of"
+            f" {designed.level:.2g} that are needed ({NATS}). Widen the range, or the input."
         )
-    motion = said(found.motion) if found.motion else ""
-    unit = "" if found.unit == "1" else f" {found.unit}"
+    motion = said(designed.motion) if designed.motion else ""
+    unit = "" if designed.unit == "1" else f" {designed.unit}"
     place = "m" if model.linear else "rad"
-    begin = "" if model.output_kind == "velocity" else f", from rest at {found.start:.4g} {place}"
+    begin = (
+        "" if model.output_kind == "velocity" else f", from rest at {designed.start:.4g} {place}"
+    )
     return (
         f"{EXPERIMENT_FILE} is such an input, to be played back in open loop{begin}: {motion},"
-        f" {found.time[-1]:.3g} s, from {found.low:.3g} to {found.high:.3g}{unit},"
-        f" {found.rms:.3g}{unit} rms, within the input and position of these records. It is"
-        f" expected to tell apart {names} by {found.gain:.3g} nats or more ({NATS}). Then diagnose"
-        " the new record together with these."
+        f" {designed.time[-1]:.3g} s, from {designed.low:.3g} to {designed.high:.3g}{unit},"
+        f" {designed.rms:.3g}{unit} rms, within the input and position of these records. It is"
+        f" expected to tell apart {names} by {designed.gain:.3g} nats or more ({NATS}). Then"
+        " diagnose the new record together with these."
     )

@@ -99,10 +99,10 @@ def plain_texts(e: Estimate) -> tuple[str, str, str]:
     """Return an estimate and the ends of its interval as plain texts; the ends are empty where
     there is none.
     """
-    found = rounded(e.value, *e.ci95) if e.ci95 else None
-    if found is None:
+    texts_and_power = rounded(e.value, *e.ci95) if e.ci95 else None
+    if texts_and_power is None:
         return f"{e.value:.4g}", "", ""
-    (mid, low, high, _), power = found
+    (mid, low, high, _), power = texts_and_power
     times = f"e{power}" if power else ""
     return mid + times, low + times, high + times
 
@@ -125,10 +125,10 @@ def reported_parameters(e: Named) -> dict[str, Estimate]:
     defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
 
     def idle(names: Iterable[str]) -> bool:
-        found = [
+        intervals = [
             (defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters
         ]
-        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
+        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in intervals)
 
     left_out = {*known.shape_parameters} if idle(known.shape_parameters) else set()
     left_out |= {*known.second_term} if idle(known.second_term[:1]) else set()

@@ -99,15 +99,15 @@ def experiment(d: Diagnosis) -> str:
 
 
 def _missing(e: Named, wording: Wording) -> str:
-    found = ", ".join(
+    estimates = ", ".join(
         f"{name} {value(estimate)}" for name, estimate in reported_parameters(e).items()
     )
     effect = find_effect(e.name, wording)
     about = "" if effect.description == effect.title else f", {effect.description}"
     certain = f"Probability that chance improves the fit as much: p ≤ {e.p:.2g}"
     return (
-        f"Missing: {effect_name(e.name, wording)}{about}. Estimated, with 95 % intervals: {found}."
-        f" {certain}."
+        f"Missing: {effect_name(e.name, wording)}{about}. Estimated, with 95 % intervals:"
+        f" {estimates}. {certain}."
     )
 
 
@@ -179,18 +179,18 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
             "In open loop over whole records the simulation fails: use the model over short times"
             " only."
         )
-    found = (
+    line = (
         f"Simulated in open loop over whole records, the model is {last.after:.3g} {unit} rms from"
         " what was measured"
     )
     if last.before != last.after:
-        found += (
+        line += (
             f", {last.before:.3g} {unit} before"
             if math.isfinite(last.before)
             else "; before, the simulation failed"
         )
     if whole.worse:
-        found += ": over so long a time it is worse than without what was found"
+        line += ": over so long a time it is worse than without what was found"
     if not whole.refitted:
         longer = f"a refit to more than segments of {segment:.3g} s"
         why = (
@@ -198,14 +198,14 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
             if whole.tried
             else f"{longer} was not tried"
         )
-        return f"{found}. Its parameters are those of the segments: {why}."
+        return f"{line}. Its parameters are those of the segments: {why}."
     to = (
         "whole records"
         if whole.whole
         else f"stretches of {whole.refitted_to:.3g} s, longer ones do not help"
     )
     usual = f"with those of segments of {segment:.3g} s the error is {last.segments:.3g} {unit}"
-    return f"{found}. Its parameters were refitted to {to}; {usual}."
+    return f"{line}. Its parameters were refitted to {to}; {usual}."
 
 
 def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:
@@ -234,28 +234,29 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
     return f"Unexplained residual: {seen}, {end}."
 
 
-def disagreement_line(found: RecordAgreement) -> str:
+def disagreement_line(agreement: RecordAgreement) -> str:
     """Return a line on records that do not agree on the parameters."""
     values = {
         part: value
-        for part, value in found.values.get(found.differs, {}).items()
+        for part, value in agreement.values.get(agreement.differs, {}).items()
         if value is not None
     }
     line = (
-        f"The records do not agree: with parameters of its own for each they are {found.gain:.0f}"
-        " nats likelier"
+        "The records do not agree: with parameters of its own for each they are"
+        f" {agreement.gain:.0f} nats likelier"
     )
-    if found.of_halves:
+    if agreement.of_halves:
         line = (
             "The record does not agree with itself: with parameters of its own for each half it is"
-            f" {found.gain:.0f} nats likelier"
+            f" {agreement.gain:.0f} nats likelier"
         )
-    line += f", and chance gives {found.level:.0f} at most ({NATS})."
+    line += f", and chance gives {agreement.level:.0f} at most ({NATS})."
     if values:
-        unit = "" if found.units[found.differs] == "1" else f" {found.units[found.differs]}"
+        unit = agreement.units[agreement.differs]
+        unit = "" if unit == "1" else f" {unit}"
         low, high = (pick(values, key=lambda part: values[part]) for pick in (min, max))
         line += (
-            f" Most differs {found.differs}: {values[low]:.4g}{unit} in {low},"
+            f" Most differs {agreement.differs}: {values[low]:.4g}{unit} in {low},"
             f" {values[high]:.4g}{unit} in {high}."
         )
     return (
@@ -264,9 +265,9 @@ def disagreement_line(found: RecordAgreement) -> str:
     )
 
 
-def disagreement_advice(found: RecordAgreement) -> str:
+def disagreement_advice(agreement: RecordAgreement) -> str:
     """Return what to do where the records do not agree."""
-    if found.of_halves:
+    if agreement.of_halves:
         return "Find out what changed during the record (temperature, load, supply)."
     changed = "temperature, load, supply, the logger's clock"
     return (
@@ -293,17 +294,17 @@ def not_offered(refused: Line) -> str:
     )
 
 
-def unnamed_line(found: UnnamedTorque, wording: Wording) -> str:
+def unnamed_line(torque: UnnamedTorque, wording: Wording) -> str:
     """Return a line on the unexplained residual as a smooth function."""
-    if found.refused is not None:
-        why = not_offered(found.refused)
+    if torque.refused is not None:
+        why = not_offered(torque.refused)
         return f"no unnamed {wording.torque} is offered for the unexplained residual: {why}"
-    of = listed([view_name(c.variable) for c in found.curves], "and")
-    before, after = math.sqrt(found.before), math.sqrt(found.after)
+    of = listed([view_name(c.variable) for c in torque.curves], "and")
+    before, after = math.sqrt(torque.before), math.sqrt(torque.after)
     return (
-        f"an unnamed {wording.torque}, a smooth function of {of}, explains {100 * found.share:.0f}"
+        f"an unnamed {wording.torque}, a smooth function of {of}, explains {100 * torque.share:.0f}"
         f" % of the squared error on held-out segments: the rms error falls from {before:.3g} to"
-        f" {after:.3g} {found.output_unit} there. It says nothing about a cause, and holds only in"
+        f" {after:.3g} {torque.output_unit} there. It says nothing about a cause, and holds only in"
         " the range seen; --fill puts it into the augmented model"
     )
 
