@@ -25,7 +25,7 @@ COUNTS_OF_NOISE = 2.0
 
 
 @dataclass(frozen=True)
-class Excitation:
+class SampleExcitation:
     """What a sample adds: `time` that counts (s), whether the motion `reverses`, rms speed so far,
     and the next states.
     """
@@ -55,12 +55,12 @@ def rms_speed(p: Namespace) -> SX:
     return SX(ca.sqrt(p.mean_square))
 
 
-def advance(p: Namespace, speed: SX, period: SX) -> Excitation:
+def advance(p: Namespace, speed: SX, period: SX) -> SampleExcitation:
     """Follow a velocity from filtered positions by one sample."""
     return follow(p, speed, period, noise_speed(p))
 
 
-def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
+def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> SampleExcitation:
     """Follow a velocity by one sample; up to `noise` it is none."""
     moving = ca.fabs(speed) > noise
     square = p.mean_square + period / (p.travelled + period) * (speed**2 - p.mean_square)
@@ -76,7 +76,7 @@ def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
         "mean_square": ca.if_else(moving, square, p.mean_square),
         "reversals": p.reversals + ca.if_else(reverses, 1, 0),
     }
-    return Excitation(ca.if_else(counts, period, 0), reverses, rms_speed(p), states)
+    return SampleExcitation(ca.if_else(counts, period, 0), reverses, rms_speed(p), states)
 
 
 def rest(before: SX, moves: SX, period: SX) -> tuple[SX, SX]:

@@ -41,7 +41,7 @@ class JointFilter:
     """
 
     names: tuple[str, ...]
-    servo: Callable[[Namespace, SX], kalman.Servo]
+    servo: Callable[[Namespace, SX], kalman.ServoParameters]
     estimates: Callable[[SX], dict[str, SX]]
     start: Callable[[Namespace, Mapping[str, SX]], tuple[SX, SX]]
     predict: Callable[[Namespace, SX, SX, Sample], tuple[SX, SX]]

@@ -27,10 +27,10 @@ LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0, "tau": 0.0}
 HIGHEST = {"tau": 1.0}
 
 
-def _servo(p: Namespace, entries: SX) -> kalman.Servo:
+def _servo(p: Namespace, entries: SX) -> kalman.ServoParameters:
     """Read the parameters as they stand."""
     alpha2, b, *sigma, c, tau = ca.vertsplit(entries)
-    return kalman.Servo(alpha2, b, sigma, c, tau, width=p.width)
+    return kalman.ServoParameters(alpha2, b, sigma, c, tau, width=p.width)
 
 
 def _estimates(entries: SX) -> dict[str, SX]:

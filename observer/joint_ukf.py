@@ -25,11 +25,11 @@ LARGEST_LN_C = 14.0  # of c in 1/rad
 LONGEST_TAU = 1.0  # s
 
 
-def _servo(p: Namespace, entries: SX) -> kalman.Servo:
+def _servo(p: Namespace, entries: SX) -> kalman.ServoParameters:
     """Read the parameters from (alpha2, b, G0, G1, G2, ln c, tau, load)."""
     alpha2, b, *levels, ln_c, tau, load = ca.vertsplit(entries)
     c = ca.exp(ca.fmin(ln_c, LARGEST_LN_C))
-    return kalman.Servo(
+    return kalman.ServoParameters(
         alpha2, b, [c * level for level in levels], c, ca.fmax(tau, 0), load, width=p.width
     )
 

@@ -35,7 +35,7 @@ SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
-class Servo:
+class ServoParameters:
     """The parameters of the modified model with bristle damping, as expressions of the entries."""
 
     alpha2: SX
@@ -113,7 +113,7 @@ def write(z: SX, covariance: SX) -> dict[str, SX]:
     return unstack("joint", z) | unstack_symmetric("cov", covariance)
 
 
-def signals(z: SX, servo: Servo) -> dict[str, SX]:
+def signals(z: SX, servo: ServoParameters) -> dict[str, SX]:
     """Return position, velocity and friction from the vector."""
     return {"theta": z[0], "v": z[1], "w": z[2], "F": servo.friction(z[1], z[2])}
 
@@ -127,7 +127,7 @@ def rounding(resolution: SX) -> SX:
     return SX(ca.fmax(resolution, 1e-6) ** 2 / 12)
 
 
-def advance(x: SX, servo: Servo, push: SX, h: SX) -> SX:
+def advance(x: SX, servo: ServoParameters, push: SX, h: SX) -> SX:
     """Advance (theta, v, w) over a sample of held acceleration by drive and load; accurate to
     second order.
 
@@ -147,7 +147,7 @@ def advance(x: SX, servo: Servo, push: SX, h: SX) -> SX:
     return ca.vertcat(theta + h / 2 * (v + v_new), v_new, w_new)
 
 
-def sample(x: SX, servo: Servo, inputs: SX, h: SX) -> SX:
+def sample(x: SX, servo: ServoParameters, inputs: SX, h: SX) -> SX:
     """Advance (theta, v, w) over a sample in `SUBSTEPS` steps."""
     push = servo.push(inputs)
     for _ in range(SUBSTEPS):
@@ -185,7 +185,7 @@ def deviations(
 
 
 def predict(
-    meaning: Callable[[SX], Servo], z: SX, covariance: SX, inputs: SX, h: SX
+    meaning: Callable[[SX], ServoParameters], z: SX, covariance: SX, inputs: SX, h: SX
 ) -> tuple[SX, SX]:
     """Return (z, P) at the end of a sample, without noise; the entries behind the states stay.
 

@@ -27,7 +27,7 @@ ESTIMATES = units("alpha2", "b", "Fc")
 
 
 @dataclass(frozen=True)
-class Regression:
+class RegressionSample:
     """A sample of z = h' theta, whether it counts, and the next states of the filters behind it."""
 
     z: SX
@@ -36,7 +36,7 @@ class Regression:
     next: dict[str, SX]
 
 
-def regression(p: Namespace, s: Sample, gate: SX) -> Regression:
+def regression(p: Namespace, s: Sample, gate: SX) -> RegressionSample:
     """Filter L v' = -alpha2 L v + b L u - Fc L sgn v from position, L = two equal low-pass
     sections; counts at |L v| > gate.
 
@@ -66,7 +66,7 @@ def regression(p: Namespace, s: Sample, gate: SX) -> Regression:
         "seen": p.seen + 1,
     }
     h = ca.vertcat(two_new[1], two_new[2], -ca.sign(speed))
-    return Regression(two_new[0], h, ca.logic_and(clear > p.hold_off, ready), filters)
+    return RegressionSample(two_new[0], h, ca.logic_and(clear > p.hold_off, ready), filters)
 
 
 def least_squares(

@@ -146,24 +146,24 @@ class _Observed:
     `reversals`: how often the motion has reversed since one is looked for.
     """
 
-    row: rls.Regression
+    row: rls.RegressionSample
     seen: SX
-    excited: excitation.Excitation
+    excited: excitation.SampleExcitation
     reversals: SX
     rest: SX
     rests: SX
 
 
-def _servo(entries: SX) -> kalman.Servo:
+def _servo(entries: SX) -> kalman.ServoParameters:
     """Read the parameters from (alpha2, b, G0, G1, G2, ln c, tau, load, delay, ln width)."""
     alpha2, b, *levels, ln_c, tau, load, delay, ln_width = ca.vertsplit(entries)
     c = ca.exp(ln_c)
-    return kalman.Servo(
+    return kalman.ServoParameters(
         alpha2, b, [c * level for level in levels], c, tau, load, delay, ca.exp(ln_width)
     )
 
 
-def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX, reversals: SX) -> _Start:
+def _start(p: Namespace, s: Sample, r: rls.RegressionSample, seen: SX, reversals: SX) -> _Start:
     """Solve the least squares of L v' = -alpha2 L v + b L u - Fc L sgn v + L d, and return how far
     each entry may be off.
 

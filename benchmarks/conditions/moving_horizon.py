@@ -77,10 +77,10 @@ EXPORT int window_run(long n, const double *p, const double *u, const double *y,
 """
 
 
-def _servo(p: SX) -> kalman.Servo:
+def _servo(p: SX) -> kalman.ServoParameters:
     alpha2, b, *levels, ln_c, tau, load, delay, ln_width = ca.vertsplit(p)
     c = ca.exp(ln_c)
-    return kalman.Servo(
+    return kalman.ServoParameters(
         alpha2, b, [c * level for level in levels], c, tau, load, delay, ca.exp(ln_width)
     )
 

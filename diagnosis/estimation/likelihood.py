@@ -27,7 +27,7 @@ STATE_SEPARATION = 1e-12
 
 
 @dataclass(frozen=True)
-class Elimination:
+class InitialStateElimination:
     """Least squares of the initial states of the segments alone, by which they are eliminated from
     the likelihood.
 
@@ -41,7 +41,9 @@ class Elimination:
     inverse: Array  # (segments, width, width): inverse of their curvature
 
     @classmethod
-    def of(cls, by_initial: Array, white: Array, precision: Array, offset: Array) -> Elimination:
+    def of(
+        cls, by_initial: Array, white: Array, precision: Array, offset: Array
+    ) -> InitialStateElimination:
         """Return it for a whitened residual (segments, bins); the prior mean of the initial states
         lies `offset` from them.
         """
@@ -123,7 +125,7 @@ class Fit(FitPoint):
     residual: Array
     white: Array  # (segments, bins): whitened residual
     by_parameter: Array
-    elimination: Elimination  # of the initial states
+    elimination: InitialStateElimination  # of the initial states
     output_by_initial: Array
     # (segments,): weight of each segment in the least squares; 0 where it does not count
     weight: Array
@@ -265,7 +267,7 @@ def scored(problem: Problem, point: FitPoint, linearised: Linearised) -> Fit:
     white = linearised.residual @ problem.noise.whiten.T
     mean, deviation = problem.prior_states(point.simulator, point.values)
     precision, offset = deviation**-2, mean - point.initial
-    elimination = Elimination.of(linearised.by_initial, white, precision, offset)
+    elimination = InitialStateElimination.of(linearised.by_initial, white, precision, offset)
     misfit_at_initial = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
     eliminated = misfit_at_initial - np.einsum(
         "si,si->s", elimination.gradient, elimination.step(elimination.gradient)
@@ -310,7 +312,7 @@ def scored(problem: Problem, point: FitPoint, linearised: Linearised) -> Fit:
     )
 
 
-def initial_state_price(elimination: Elimination, precision: Array) -> Array:
+def initial_state_price(elimination: InitialStateElimination, precision: Array) -> Array:
     """Return the Occam factor of each segment's initial states that no sensor shows (segments,)
     [nats].
 

@@ -72,7 +72,7 @@ def settle(instance: Instance) -> bool:
     raise CallFailed(f"events do not come to an end in {MOST_EVENTS} iterations")
 
 
-class Model:
+class ContinuousInstance:
     """An instance of Model Exchange in continuous-time mode."""
 
     def __init__(self, subject: Subject, library: Any = None) -> None:
@@ -161,7 +161,7 @@ class Model:
     def _row(self) -> list[float]:
         return [*self.outputs(), *(self.derivatives() if self.n else ())]
 
-    def __enter__(self) -> Model:
+    def __enter__(self) -> ContinuousInstance:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -169,13 +169,13 @@ class Model:
             self.instance.free()
 
 
-def _begun(subject: Subject, library: Any = None) -> Model:
-    model = Model(subject, library)
+def _begun(subject: Subject, library: Any = None) -> ContinuousInstance:
+    model = ContinuousInstance(subject, library)
     model.begin()
     return model
 
 
-def _with_states(subject: Subject) -> Model:
+def _with_states(subject: Subject) -> ContinuousInstance:
     model = _begun(subject)
     if not model.n:
         raise NotApplicable("it has no continuous states")
@@ -187,7 +187,7 @@ def _beside(x: Array) -> Array:
     return x * (1 + NUDGE) + NUDGE * (1 + np.arange(len(x)))
 
 
-def _names(model: Model) -> list[str]:
+def _names(model: ContinuousInstance) -> list[str]:
     return [*model.columns, *(f"derivative {k}" for k in range(1, model.n + 1))]
 
 
@@ -345,7 +345,7 @@ def _knowns(subject: Subject) -> list[str]:
 class _Settable:
     """An instance of Model Exchange whose states can be set by the names of their variables."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: ContinuousInstance) -> None:
         self.model, self.subject = model, model.subject
         derivatives = model.subject.description.derivatives
         self.places = {
@@ -375,7 +375,7 @@ def _unknowns(subject: Subject) -> list[Any]:
     ]
 
 
-def _scalar_model(subject: Subject) -> Model:
+def _scalar_model(subject: Subject) -> ContinuousInstance:
     if not _unknowns(subject) or not _knowns(subject):
         raise NotApplicable(
             "it has no derivative or output, or no state or input, that is a single number"

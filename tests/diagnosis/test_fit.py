@@ -13,8 +13,8 @@ import pytest
 from bristle.diagnosis.estimation.fitted_model import relative_error, under_own_noise
 from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import (
-    Elimination,
     FitPoint,
+    InitialStateElimination,
     evaluate,
     initial_state_price,
     rescored,
@@ -364,10 +364,12 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
     columns = np.zeros((1, 50, 4))
     columns[0, :, 2] = shape
     precision = np.array([[1.0, 1.0, 0.25, 4.0]])
-    found = Elimination.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
+    found = InitialStateElimination.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
     expected = 0.5 * np.log(1 + shape @ shape / 0.25)
     np.testing.assert_allclose(initial_state_price(found, precision), [expected], rtol=1e-9)
-    sure = Elimination.of(columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2)))
+    sure = InitialStateElimination.of(
+        columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2))
+    )
     assert initial_state_price(sure, precision[:, :2]) == 0.0
 
 
@@ -377,7 +379,9 @@ def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
     known of them.
     """
     by_initial = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
-    found = Elimination.of(by_initial, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
+    found = InitialStateElimination.of(
+        by_initial, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2))
+    )
     move = found.step(found.gradient)
     assert np.isfinite(found.inverse).all()
     left = np.ones((1, 50)) - (by_initial @ move[:, :, None])[:, :, 0]

@@ -129,24 +129,26 @@ def test_no_files_of_the_harness_import_each_other_in_a_circle():
         pytest.fail(" -> ".join(error.args[1]))
 
 
-def public_classes():
-    """Return the files that define each public class, by its name."""
-    found = defaultdict(set)
-    for room in ALLOWED:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            for node in ast.parse(path.read_text(encoding="utf-8")).body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    found[node.name].add(path.relative_to(ROOT).as_posix())
-    return found
+def shared_classes(paths):
+    """Return the files that define a public class of the same name, by that name."""
+    files = defaultdict(set)
+    for path in paths:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                files[node.name].add(path)
+    return {name: places for name, places in files.items() if len(places) > 1}
 
 
-def test_no_class_of_the_harness_shares_its_name():
-    shared = {
-        name: files
-        for name, files in public_classes().items()
-        if len(files) > 1 and any(file.startswith("harness/") for file in files)
-    }
-    assert not shared
+def test_no_two_public_classes_share_a_name():
+    rooms = [*ALLOWED, "package"]
+    assert not shared_classes(path for room in rooms for path in (ROOT / room).rglob("*.py"))
+
+
+def test_a_shared_name_of_classes_is_seen(tmp_path):
+    one, other = tmp_path / "one.py", tmp_path / "other.py"
+    one.write_text("class Servo: ...\nclass _Own: ...\n", encoding="utf-8")
+    other.write_text("class Servo: ...\nclass _Own: ...\nclass Drive: ...\n", encoding="utf-8")
+    assert shared_classes([one, other]) == {"Servo": {one, other}}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -92,7 +92,7 @@ def settled(rows: np.ndarray, true: np.ndarray = SET_S) -> float:
 
 def stepped(h: float, start: np.ndarray, u: float, tau: float) -> np.ndarray:
     """Return (theta, v, w) after one sample by the filter's equations, for set S."""
-    servo = kalman.Servo(
+    servo = kalman.ServoParameters(
         ca.SX(2.0), ca.SX(6.5), [ca.SX(600.0), ca.SX(800.0), ca.SX(300.0)], ca.SX(150.0), ca.SX(tau)
     )
     return np.array(
