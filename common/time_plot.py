@@ -99,7 +99,7 @@ def time_mark(ax: Any, at: float, colour: str) -> None:
     ax.time_panel.items.append({"colour": colour, "at": float(at)})
 
 
-def time_level(
+def time_horizontal(
     ax: Any, value: float, colour: str, dashes: Sequence[float] = (), **style: Any
 ) -> None:
     """Draw a value that holds all the time."""

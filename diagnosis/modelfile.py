@@ -399,9 +399,9 @@ def default_bounds(
     nominally 0 has no scale to move on, and stays; so does b, because an input's gain and all other
     parameters share one factor.
     """
-    levels = [p for p in law.parameters if p.unit in ("N.m", "1/s2")]
+    frictions = [p for p in law.parameters if p.unit in ("N.m", "1/s2")]
     bounds = {}
-    for p in (J, A2, *levels):
+    for p in (J, A2, *frictions):
         value = parameters[p.name]
         if value != 0.0:
             ends = sorted((0.0 if p.minimum == 0.0 else value / BOUND_FACTOR, value * BOUND_FACTOR))

@@ -27,9 +27,9 @@ class Source:
     name, unit : str
         Output and its SI unit.
     start : float
-        Value before the first of the levels.
-    levels : tuple of (float, float)
-        Time [s] from which the output has a level, and the level.
+        Value before the first of the points.
+    points : tuple of (float, float)
+        Time [s] from which the output has a value, and the value.
     sine : (float, float, float), optional
         Amplitude, frequency [Hz] and phase [rad] of a sine that is added.
     """
@@ -37,19 +37,19 @@ class Source:
     name: str
     unit: str
     start: float
-    levels: tuple[tuple[float, float], ...] = ()
+    points: tuple[tuple[float, float], ...] = ()
     sine: tuple[float, float, float] | None = None
 
 
 def source_program(sources: Sequence[Source], step: float) -> Program:
-    """Return the program of these outputs, whose levels begin within half a `step` [s] of their
+    """Return the program of these outputs, whose values begin within half a `step` [s] of their
     times.
     """
     system = System("stimuli", "inputs over time")
     for each in sources:
         value = SX(each.start)
-        for time, level in each.levels:
-            value = ca.if_else(system.time >= time - 0.5 * step, level, value)
+        for time, held in each.points:
+            value = ca.if_else(system.time >= time - 0.5 * step, held, value)
         if each.sine is not None:
             amplitude, frequency, phase = each.sine
             value += amplitude * ca.sin(2 * math.pi * frequency * system.time + phase)

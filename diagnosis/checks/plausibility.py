@@ -150,8 +150,8 @@ def _as_given(model: Model, records: Sequence[Record]) -> list[tuple[Array, Arra
 def _nominal(model: Model) -> Array:
     """Return nominal J, a2 and Coulomb level; NaN where the law has none or it is 0."""
     own = {name.removeprefix(f"{model.friction}."): x for name, x in model.parameters.items()}
-    level = own.get("Fc", own["J"] * own["sigma0"] / own["c"] if "c" in own else 0.0)
-    given = np.array([own["J"], own["a2"], level])
+    friction = own.get("Fc", own["J"] * own["sigma0"] / own["c"] if "c" in own else 0.0)
+    given = np.array([own["J"], own["a2"], friction])
     return np.where(given > 0.0, given, np.nan)
 
 

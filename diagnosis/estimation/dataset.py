@@ -246,14 +246,14 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
     n = len(u) // length
     first = np.arange(n) * length
     reach = max(2, round(STATE_SMOOTHING / h))
-    level = smooth(y, h, STATE_SMOOTHING)
-    noise = max(resolution / np.sqrt(12), float(np.std(y - level)), 1e-12)
+    smoothed = smooth(y, h, STATE_SMOOTHING)
+    noise = max(resolution / np.sqrt(12), float(np.std(y - smoothed)), 1e-12)
     if grid.velocity:
-        initial = np.column_stack([np.zeros(n), level[first]])
+        initial = np.column_stack([np.zeros(n), smoothed[first]])
         initial_sd = np.column_stack([np.ones(n), np.full(n, 10 * noise)])
     else:
         v = smooth(y, h, STATE_SMOOTHING, 1)
-        initial = np.column_stack([level[first], v[first]])
+        initial = np.column_stack([smoothed[first], v[first]])
         initial_sd = np.column_stack(
             [np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])]
         )

@@ -49,11 +49,11 @@ class Noise:
     sensor: float  # standard deviation of the independent error of an average [unit of the output]
 
 
-def white_noise(bins: int, level: float) -> Noise:
+def white_noise(bins: int, sd: float) -> Noise:
     """Return the noise of a sensor alone, with a standard deviation of averages [unit of the
     output].
     """
-    return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
+    return Noise(np.eye(bins) / sd, 2 * bins * math.log(sd), 0.0, 1.0, sd)
 
 
 def colour(pulses: Array, corner: float, h: float) -> Array:
@@ -92,13 +92,18 @@ def estimate(
         values, vectors = np.linalg.eigh(free.T @ full @ free / unit)
         power = np.einsum("ij,ik,kj->j", vectors, sample, vectors)
         spectrum = 1 + RATIOS[:, None] * np.maximum(values, 0.0)
-        level = np.maximum((power / spectrum).mean(axis=1), least**2)
-        cost = np.log(level[:, None] * spectrum).sum(axis=1) + (
-            power / (level[:, None] * spectrum)
+        variance = np.maximum((power / spectrum).mean(axis=1), least**2)
+        cost = np.log(variance[:, None] * spectrum).sum(axis=1) + (
+            power / (variance[:, None] * spectrum)
         ).sum(axis=1)
         k = int(np.argmin(cost))
         if cost[k] < best[0]:
-            best = (float(cost[k]), float(level[k]), float(level[k] * RATIOS[k] / unit), corner)
+            best = (
+                float(cost[k]),
+                float(variance[k]),
+                float(variance[k] * RATIOS[k] / unit),
+                corner,
+            )
     _, sensor, torque, corner = best
     covariance = sensor * np.eye(bins) + torque * colour(pulses, corner, h)
     factor = np.linalg.cholesky(covariance)

@@ -22,7 +22,7 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covariance gives
-# the same for effects that act beyond a place or a level only, and for couplings
+# the same for effects that act beyond a place or a limit only, and for couplings
 EDGE_INTERVAL_FACTOR = 5.0
 # evaluations for each coefficient of the parabola through a nonsmooth likelihood
 PARABOLA_TRIALS = 6
@@ -189,7 +189,7 @@ def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bo
 
 
 def _has_edges(parameter: str) -> bool:
-    """True for parameters of effects that act beyond a place or a level, whose likelihood is no
+    """True for parameters of effects that act beyond a place or a limit, whose likelihood is no
     parabola, and of couplings.
     """
     name = parameter.split(".")[0]

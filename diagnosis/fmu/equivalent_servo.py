@@ -20,7 +20,7 @@ FMU_CLOSE = 0.1
 FMU_PARAMETER_RANGE = 1.5
 # times the model's own bounds: how far the servo's parameters may follow an FMU
 FMU_BOUND_FACTOR = 100.0
-FMU_FIT_ROUNDS = 4  # fits of the servo to the FMU, each with the noise level of the one before
+FMU_FIT_ROUNDS = 4  # fits of the servo to the FMU, each with the noise of the one before
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
     return fit
 
 
-def _white(dataset: Dataset, level: float) -> Noise:
-    """Return a white noise so wide that a segment that is off by `level` rms counts as it is, and
+def _white(dataset: Dataset, error: float) -> Noise:
+    """Return a white noise so wide that a segment that is off by `error` rms counts as it is, and
     not as an outlier.
     """
     bins = dataset.segments.bins
-    return white_noise(bins, math.sqrt(bins) * max(level, dataset.least_sd))
+    return white_noise(bins, math.sqrt(bins) * max(error, dataset.least_sd))
 
 
 def search_bounds(model: Model, twin: EquivalentServo) -> dict[str, tuple[float, float]]:

@@ -38,7 +38,7 @@ from bristle.records.record import Record
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
 BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
-LEVEL_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
+FRICTION_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
 DIGITS = 3  # of a rough parameter
 # factor by which another pair must explain more than the one that the names propose
 BETTER_RATIO = 2.0
@@ -328,7 +328,7 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     rough, doubts = {}, []
     for k, name in enumerate(("J", "a2", "Fc")):
         value = regression.value[k] if known[k] else positive[k]
-        most = LEVEL_SHARE * torque / float(scale[k])
+        most = FRICTION_SHARE * torque / float(scale[k])
         if name == "J" and not (known[k] and value > 0.0):
             value = value if value > 0.0 else min(most, max(regression.error[k], 1e-3 * most))
             rough[name] = Rough(

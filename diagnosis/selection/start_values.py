@@ -217,8 +217,8 @@ def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) 
     """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it
     has none.
     """
-    level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
-    return level or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
+    friction = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
+    return friction or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
 
 
 def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:

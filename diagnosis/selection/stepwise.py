@@ -56,7 +56,7 @@ from bristle.plant.effects import effects as all_effects
 
 MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
-# nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood
+# nats: least gain beyond the end of an interval that presses against it (1 % point of a likelihood
 # ratio)
 NATS_PER_PARAMETER = 3.3
 # times the null's level: least gain of an effect with parameters that are hardly credible

@@ -83,10 +83,10 @@ class _Design:
         return at if y is None else float(setup.positions(y)[-1])
 
     def tried(self, given: Input) -> _Trial | None:
-        """Return the first level of an input that keeps to the limits, with its gain; None if no
-        level does.
+        """Return the first scale of an input that keeps to the limits, with its gain; None if no
+        scale does.
         """
-        for u in given.levels:
+        for u in given.scaled:
             outputs = self.outputs(u)
             if outputs is not None:
                 of = dict(zip((rival.name for rival in self.rivals), outputs, strict=True))

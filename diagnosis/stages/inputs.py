@@ -19,7 +19,7 @@ from bristle.diagnosis.answer import Finding, Reason, finding
 
 DRAWS = 24  # inputs of random steps to choose from
 # of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
-INPUT_LEVELS = (1.0, 0.8, 0.6, 0.4)
+INPUT_SCALES = (1.0, 0.8, 0.6, 0.4)
 USED_RANGE = (0.3, 0.85)  # of the range that was travelled: what steps are planned in
 USED_TORQUE = (0.3, 0.95)  # of what the input gives beyond friction: what steps are planned with
 ACCELERATING = 0.75  # of that: what accelerates; the rest is for viscous friction
@@ -179,17 +179,17 @@ def varied(rng: np.random.Generator, u: Array, n: int, h: float) -> Array:
 
 @dataclass(frozen=True)
 class Input:
-    """An input to choose from: the kind of motion, and its values (n,) at one level or several,
+    """An input to choose from: the kind of motion, and its values (n,) at one scale or several,
     the strongest first.
     """
 
     motion: Finding
-    levels: tuple[Array, ...]
+    scaled: tuple[Array, ...]
 
     @classmethod
-    def at_levels(cls, motion: Finding, u: Array) -> Input:
-        """Return an input (n,) at all `INPUT_LEVELS`."""
-        return cls(motion, tuple(level * u for level in INPUT_LEVELS))
+    def at_scales(cls, motion: Finding, u: Array) -> Input:
+        """Return an input (n,) at all `INPUT_SCALES`."""
+        return cls(motion, tuple(scale * u for scale in INPUT_SCALES))
 
 
 def inputs(
@@ -211,14 +211,14 @@ def inputs(
         drawn = steps(rng, axis, plan, n, follow)
         proposed.append(Input(finding(Reason.MANY_STEPS), (drawn,)))
     if axis.friction > 0:
-        proposed.append(Input.at_levels(finding(Reason.SLOW_RAMPS), ramps(axis, n, h)))
+        proposed.append(Input.at_scales(finding(Reason.SLOW_RAMPS), ramps(axis, n, h)))
     for u in recorded:
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
-        proposed.append(Input.at_levels(finding(Reason.RECORDED_INPUT), np.resize(u, n)))
-        proposed.append(Input.at_levels(finding(Reason.QUICKENED_INPUT), np.resize(quick, n)))
+        proposed.append(Input.at_scales(finding(Reason.RECORDED_INPUT), np.resize(u, n)))
+        proposed.append(Input.at_scales(finding(Reason.QUICKENED_INPUT), np.resize(quick, n)))
         for seed in range(VARIED_DRAWS):
             other = varied(np.random.default_rng(seed), u, n, h)
-            proposed.append(Input.at_levels(finding(Reason.VARIED_INPUT), other))
+            proposed.append(Input.at_scales(finding(Reason.VARIED_INPUT), other))
     return proposed
 
 

@@ -38,8 +38,8 @@ LONG_BINS = 500  # averages of a stretch at most
 GROWTH = 4.0  # ratio of a horizon to the one before
 # a horizon that is this close to the longest record's length is left out before that
 WHOLE_RATIO = 1.5
-LEVEL_PASSES = 3  # fits to a horizon, each with the error of the one before as its noise
-LEVEL_FALL = 0.98  # ratio of the error to the one before from which on these fits end
+ERROR_PASSES = 3  # fits to a horizon, each with the error of the one before as its noise
+ERROR_FALL = 0.98  # ratio of the error to the one before from which on these fits end
 START_STEPS = 2  # steps of the starts of stretches where no parameter is fitted
 # factor by which the squared error falls in records that took no part in a refit, for it to be kept
 GENERALISES = 1.2
@@ -155,7 +155,7 @@ def open_loop_servo(servo: Servo) -> Servo:
     return replace(servo, free=free, rigid=servo.rigid and OWN_BRISTLES in servo.effects)
 
 
-def open_loop_problem(segments: Segments, level: float) -> Problem:
+def open_loop_problem(segments: Segments, error: float) -> Problem:
     """Return the problem of plain output errors of so much rms; a stretch is an outlier only with
     more than tenfold squares.
 
@@ -163,7 +163,7 @@ def open_loop_problem(segments: Segments, level: float) -> Problem:
     there. The position at the start is a nuisance therefore, and known no better than any other.
     """
     # so wide, the squares of a whole stretch count as one of a normal error
-    wide = level * math.sqrt(segments.bins)
+    wide = error * math.sqrt(segments.bins)
     deviation = segments.initial_sd
     deviation[:, 0] = np.maximum(deviation[:, 0], wide)
     everything = np.ones(len(deviation), dtype=bool)
@@ -189,8 +189,8 @@ def with_fitted_starts(
     point = FitPoint(servo.simulator(segments), (), dict(values), segments.initial)
     simulated, _, good, _ = point.simulator.run(values, segments.initial)
     error = (segments.measured - simulated)[good]
-    level = rms(error[np.isfinite(error)])
-    problem = open_loop_problem(segments, level if level > least else least)
+    size = rms(error[np.isfinite(error)])
+    problem = open_loop_problem(segments, size if size > least else least)
     return refine_initial_states(problem, evaluate(problem, point), START_STEPS)
 
 
@@ -246,14 +246,14 @@ def refit_horizon(
     the records all the while.
     """
     fit = with_fitted_starts(servo, values, segments, least)
-    level = first = fitted_error(fit)
-    for _ in range(LEVEL_PASSES if stays(fit) else 0):
-        problem = open_loop_problem(segments, max(level, least))
+    error = first = fitted_error(fit)
+    for _ in range(ERROR_PASSES if stays(fit) else 0):
+        problem = open_loop_problem(segments, max(error, least))
         fit = refit(problem, FitPoint(fit.simulator, servo.free, fit.values, fit.initial))
-        before, level = level, fitted_error(fit)
-        if not level < LEVEL_FALL * before:
+        before, error = error, fitted_error(fit)
+        if not error < ERROR_FALL * before:
             break
-    return fit if stays(fit) and level <= first else None
+    return fit if stays(fit) and error <= first else None
 
 
 def stays(fit: Fit) -> bool:

@@ -234,7 +234,7 @@ def _source_fmu(setup: RunSetup, folder: Path, platforms: str) -> Path:
 
     sources = []
     for each in setup.stimuli:
-        levels = tuple((step * setup.h, level) for step, level in each.levels)
+        points = tuple((step * setup.h, value) for step, value in each.points)
         sine = (
             None
             if each.sine is None
@@ -242,7 +242,7 @@ def _source_fmu(setup: RunSetup, folder: Path, platforms: str) -> Path:
         )
         sources.append(
             Source(
-                each.variable, setup.fmus[each.unit].unit(each.variable), each.start, levels, sine
+                each.variable, setup.fmus[each.unit].unit(each.variable), each.start, points, sine
             )
         )
     return build_source(sources, setup.h, folder / f"{STIMULI}.fmu", platforms=platforms)

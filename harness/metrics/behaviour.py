@@ -19,7 +19,7 @@ STICK_SECONDS = 0.02  # s that it must stand still to stick; a passage through z
 CYCLE_PERIODS = 5  # periods of a limit cycle, at least
 CYCLE_SPREAD = 0.05  # standard deviation of these periods over their mean, at most
 # share of the amplitude by which the velocity must pass its mean, so that noise makes no period
-CYCLE_LEVEL = 0.1
+CYCLE_THRESHOLD = 0.1
 LEAST_CYCLE = 1e-6  # amplitude of a limit cycle over the largest velocity of the run, at least
 # what moves a servo from outside
 MOVING_INPUTS = ("reference", "u_ff", "reference_scale", "tau_load", "load_scale")
@@ -118,7 +118,7 @@ def _cycle(motion: PlantMotion) -> dict[str, Quantity]:
     amplitude = 0.5 * float(np.ptp(v))
     if not amplitude > LEAST_CYCLE * float(np.abs(motion.signals["v"]).max()):
         return _no_cycle(motion, "its velocity is constant in the second half of the run")
-    periods = np.diff(_upward(v, CYCLE_LEVEL * amplitude)) * motion.h
+    periods = np.diff(_upward(v, CYCLE_THRESHOLD * amplitude)) * motion.h
     if len(periods) < CYCLE_PERIODS or np.std(periods) > CYCLE_SPREAD * np.mean(periods):
         return _no_cycle(
             motion,
@@ -138,9 +138,9 @@ def _no_cycle(motion: PlantMotion, why: str) -> dict[str, Quantity]:
     }
 
 
-def _upward(v: Array, level: float) -> NDArray[np.intp]:
-    """Return the rows at which v rises above `level` after it was below -level."""
-    state = np.where(v > level, 1, np.where(v < -level, -1, 0))
+def _upward(v: Array, threshold: float) -> NDArray[np.intp]:
+    """Return the rows at which v rises above `threshold` after it was below -threshold."""
+    state = np.where(v > threshold, 1, np.where(v < -threshold, -1, 0))
     rows = np.flatnonzero(state)
     return rows[1:][np.diff(state[rows]) > 0]
 

@@ -1,4 +1,4 @@
-"""The friction curve of a plant: its level of friction over velocity, as it coasts down."""
+"""The friction curve of a plant: its friction over velocity, as it coasts down."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SLOWEST = math.radians(1.0)  # rad/s: below, a curve is not drawn
 
 
 def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return velocity and level of friction of a plant that coasts down, the fastest first.
+    """Return velocity and friction of a plant that coasts down, the fastest first.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
 
     Returns
     -------
-    velocity, level : ndarray, shape (n,)
+    velocity, friction : ndarray, shape (n,)
         rad/s and rad/s2; both are empty if the plant does not get to speed.
     """
     from bristle.fmus import obtain
@@ -45,6 +45,6 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
         [slowed] = drive.run(series[:, None], np.array([[*values.values()]]), h)
     finally:
         drive.close()
-    v, level = slowed[count + 2 :].T
+    v, friction = slowed[count + 2 :].T
     end = int(np.argmax(~(v > SLOWEST))) if np.any(~(v > SLOWEST)) else len(v)
-    return v[:end], level[:end]
+    return v[:end], friction[:end]

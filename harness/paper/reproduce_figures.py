@@ -27,7 +27,7 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.time_plot import time_curve, time_level, time_panel
+from bristle.common.time_plot import time_curve, time_horizontal, time_panel
 from bristle.harness.paper.printed_numbers import PRINTED
 from bristle.harness.paper.schemes import (
     BASELINE_SCHEME,
@@ -129,13 +129,13 @@ def _stribeck(comparison: PaperComparison) -> Any:
     figure = new_figure(11.0, 3.9)
     ax = figure.subplots()
     plant = _case(comparison, BASELINE_SCHEME, "L0").values
-    level = {name: float(plant[f"lugre.{name}"]) / float(plant["J"]) for name in ("Fs", "Fc")}
+    friction = {name: float(plant[f"lugre.{name}"]) / float(plant["J"]) for name in ("Fs", "Fc")}
     v0 = float(plant["lugre.vs"]) * DEGREES
     for name, text in (("Fs", "a₀ + a₁"), ("Fc", "a₀")):
-        ax.axhline(level[name], color=GREY, linestyle=DASHED, linewidth=0.9)
-        ax.text(SHOWN_SPEED * 0.995, level[name], text, ha="right", va="bottom", color=INK)
+        ax.axhline(friction[name], color=GREY, linestyle=DASHED, linewidth=0.9)
+        ax.text(SHOWN_SPEED * 0.995, friction[name], text, ha="right", va="bottom", color=INK)
     ax.axvline(v0, color=GREY, linestyle=DASHED, linewidth=0.9)
-    top = 1.25 * level["Fs"]
+    top = 1.25 * friction["Fs"]
     ax.text(v0, 0.02 * top, " v₀", ha="left", va="bottom", color=INK)
     for name, (v, curve) in comparison.curves.items():
         label = "original LuGre law, set L0" if name == "plant" else LETTERS[name]
@@ -198,8 +198,8 @@ def _estimates(comparison: PaperComparison, colours: dict[str, str], step: str, 
         begin = case.begin if step == "step2" else 0.0
         time_panel(ax, step, (first, last))
         for name, colour in colours.items():
-            level = larger * PRINTED[name].values[0]
-            time_level(ax, level, colour, DASHED[1], linewidth=0.9)
+            printed = larger * PRINTED[name].values[0]
+            time_horizontal(ax, printed, colour, DASHED[1], linewidth=0.9)
             if name in case.hats:
                 time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])

@@ -119,17 +119,17 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     time_panel(ax)
     true = pictures.true.get(name)
     if true is not None:
-        level = true if np.ptp(true) else true[[0, -1]]
+        drawn = true if np.ptp(true) else true[[0, -1]]
         when = time if np.ptp(true) else time[[0, -1]]
         time_band(
             ax,
             when,
-            level * (1 - SETTLING_BAND / 100),
-            level * (1 + SETTLING_BAND / 100),
+            drawn * (1 - SETTLING_BAND / 100),
+            drawn * (1 + SETTLING_BAND / 100),
             LIMIT,
             0.16,
         )
-        time_curve(ax, when, level, TRUTH, "true value", linestyle=(0, (4, 3)), linewidth=1.1)
+        time_curve(ax, when, drawn, TRUTH, "true value", linestyle=(0, (4, 3)), linewidth=1.1)
     _limits(ax, course, true)
     _course(ax, time, course)
     ax.set_xlim(0, time[-1] or 1.0)

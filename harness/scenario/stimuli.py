@@ -35,18 +35,18 @@ class Signal:
     variable, unit : str
         Input, and the unit on the bus that has it.
     start : float
-        Value before the first of the levels.
-    levels : tuple of (int, float)
-        Step from which the input has a level, and the level.
+        Value before the first of the points.
+    points : tuple of (int, float)
+        Step from which the input has a value, and the value.
     sine, noise : (Sine, float), (NoiseTable, float), optional
-        What is added to the level, with its amplitude or rms in the unit of the input.
+        What is added to that value, with its amplitude or rms in the unit of the input.
     """
 
     key: str
     variable: str
     unit: str
     start: float
-    levels: tuple[tuple[int, float], ...]
+    points: tuple[tuple[int, float], ...]
     sine: tuple[Sine, float] | None = None
     noise: tuple[NoiseTable, float] | None = None
 
@@ -66,8 +66,8 @@ class Signal:
     def values(self, count: int, h: float) -> Array:
         """Return the value that is held over each of `count` steps of h seconds, shape (count,)."""
         values = np.full(count, self.start)
-        for step, level in self.levels:
-            values[step:] = level
+        for step, value in self.points:
+            values[step:] = value
         if self.sine is not None:
             sine, amplitude = self.sine
             values += amplitude * np.sin(
@@ -79,10 +79,10 @@ class Signal:
         return values
 
     def settled(self) -> Signal:
-        """Return it with its last level from the beginning."""
-        level = self.levels[-1][1] if self.levels else self.start
+        """Return it with its last value from the beginning."""
+        value = self.points[-1][1] if self.points else self.start
         return Signal(
-            self.key, self.variable, self.unit, self.start, ((0, level),), self.sine, self.noise
+            self.key, self.variable, self.unit, self.start, ((0, value),), self.sine, self.noise
         )
 
 
@@ -150,7 +150,7 @@ def _signals(loaded: Loaded, free: Free, h: float) -> Iterator[Signal]:
             name,
             unit,
             fmu.start(name),
-            tuple(_levels(loaded, key, stimulus, fmu, h)),
+            tuple(_points(loaded, key, stimulus, fmu, h)),
             sine,
             noise,
         )
@@ -175,7 +175,7 @@ def _below_nyquist(loaded: Loaded, key: str, frequency: float, h: float) -> None
         )
 
 
-def _levels(
+def _points(
     loaded: Loaded, at: str, stimulus: Stimulus, fmu: Fmu, h: float
 ) -> Iterator[tuple[int, float]]:
     """Yield the points: a value set at t is on the bus from the first step that starts at t or
@@ -207,7 +207,7 @@ def events(signals: Sequence[Signal]) -> tuple[Event, ...]:
             (step, port, value)
             for s in signals
             if not s.varying
-            for step, value in s.levels
+            for step, value in s.points
             for port in s.ports
         )
     )
@@ -227,7 +227,7 @@ def series(signals: Sequence[Signal], steps: int, h: float) -> dict[Port, Array]
 def check_range(
     loaded: Loaded, free: Free, signals: Sequence[Signal], steps: int, h: float
 ) -> None:
-    """Raise `BristleError` if what is added to the levels leaves the interval of the input within
+    """Raise `BristleError` if what is added to the values leaves the interval of the input within
     so many steps.
     """
     for signal in signals:

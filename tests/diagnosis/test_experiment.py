@@ -74,9 +74,9 @@ def test_inputs_are_the_same_each_time_and_begin_each_step_where_the_last_one_en
     assert all(
         np.array_equal(a, b)
         for x, y in zip(first, again, strict=True)
-        for a, b in zip(x.levels, y.levels, strict=True)
+        for a, b in zip(x.scaled, y.scaled, strict=True)
     )
-    assert all(len(u) == SAMPLES for each in first for u in each.levels)
+    assert all(len(u) == SAMPLES for each in first for u in each.scaled)
     assert 0.3 in asked
 
 

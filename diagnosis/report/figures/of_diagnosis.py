@@ -27,7 +27,7 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.time_plot import time_curve, time_level, time_panel, time_span
+from bristle.common.time_plot import time_curve, time_horizontal, time_panel, time_span
 from bristle.diagnosis.answer import CandidateEffect, Diagnosis, RecordTrace, ResidualView, Round
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.figures.axes import shown
@@ -193,8 +193,8 @@ def worst_part(
         if len(trace.time) < 2:
             continue
         count = min(max(2, round(seconds / float(np.median(np.diff(trace.time))))), len(trace.time))
-        level = _mean_square(trace.before - trace.measured, count)
-        inside = level[count // 2 : max(len(level) - count // 2, count // 2 + 1)]
+        mean_square = _mean_square(trace.before - trace.measured, count)
+        inside = mean_square[count // 2 : max(len(mean_square) - count // 2, count // 2 + 1)]
         if not np.isfinite(inside).any():
             continue
         first = int(np.nanargmax(inside))
@@ -226,7 +226,7 @@ def _overlay(diagnosis: Diagnosis) -> Any:
         label = f"simulated, {name}" if both else "simulated, refitted model"
         time_curve(top, time, factor * values, colour, label, linestyle=style, linewidth=1.3)
         time_curve(low, time, factor * values - measured, colour, label, linewidth=1.0)
-    time_level(low, 0.0, INK, linewidth=0.7)
+    time_horizontal(low, 0.0, INK, linewidth=0.7)
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
     set_title(top, f"{trace.name}, where the error is largest")
     set_labels(top, y=f"{model.output_kind}, {unit}")
@@ -240,8 +240,8 @@ def _along(ax: Any, trace: RecordTrace, part: slice, model: Model, both: bool) -
     count = max(2, round(ERROR_SLICE / float(np.median(np.diff(trace.time)))))
     time_panel(ax, trace.name)
     for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if both else 1]:
-        level = factor * np.sqrt(_mean_square(values - trace.measured, count))
-        time_curve(ax, trace.time, level, colour, linewidth=1.0)
+        error = factor * np.sqrt(_mean_square(values - trace.measured, count))
+        time_curve(ax, trace.time, error, colour, linewidth=1.0)
     time_span(ax, float(trace.time[part][0]), float(trace.time[part][-1]), GREY, 0.22)
     ax.set_xlim(trace.time[0], trace.time[-1])
     ax.set_ylim(bottom=0)

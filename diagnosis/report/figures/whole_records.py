@@ -22,7 +22,7 @@ from bristle.common.drawing import (
     set_labels,
     set_title,
 )
-from bristle.common.time_plot import time_curve, time_level, time_panel
+from bristle.common.time_plot import time_curve, time_horizontal, time_panel
 from bristle.diagnosis.answer import RecordTrace, WholeRecords
 from bristle.diagnosis.report.figures.axes import shown
 
@@ -72,7 +72,7 @@ def open_loop_figure(
                 curve.label,
                 linewidth=1.0,
             )
-    time_level(low, 0.0, INK, linewidth=0.7)
+    time_horizontal(low, 0.0, INK, linewidth=0.7)
     for ax in (top, low):
         ax.set_xlim(trace.time[0], trace.time[-1])
     top.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), fontsize=8)
