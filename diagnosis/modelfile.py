@@ -289,6 +289,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
             f" {', '.join(known)}"
         )
         raise mistake(where, "friction", table.friction, message)
+    # parameters and bounds, by the names that the law declares
     law, layout = find_law(table.friction), layout_of(table, where)
     gain = () if layout.input_kind in ("torque", "force") else (B,)
     file = _File(where, law, {p.name: p for p in (J, A2, *gain, *law.parameters)}, layout)
@@ -298,6 +299,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         if table.bounds is None
         else _bounds(file, table.bounds, parameters)
     )
+    # effects that exclude each other, or the law, are refused here
     effects = {name: _effect(file, name, given) for name, given in table.effects.items()}
     if effects:
         try:

@@ -82,12 +82,14 @@ def _of_motion(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     moved = list(zip(velocities, records, strict=True))
     v = np.concatenate(velocities)
     rms = float(np.sqrt(np.mean(v**2)))
+    # the top speed, of which slow is a share, and the speed below which the servo rests
     top, rest = (
         float(np.quantile(np.abs(v), 0.999)),
         max(REST_SPEED * rms, _least_speed(model, records)),
     )
     still = np.abs(v) < rest
     span = max(float(np.ptp(x)) for x in positions)
+    # of the motion alone
     numbers: dict[str, Any] = {
         "speed_range": _range(f"{length}/s", (float(np.min(v)), float(np.max(v)))),
         "speed_dominant_tone_share": min(_spectrum(each, r.h)[1] for each, r in moved),
@@ -100,6 +102,7 @@ def _of_motion(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         "forward_share": float(np.mean(v > rest)),
         "backward_share": float(np.mean(v < -rest)),
     }
+    # what depends on the axis and the input
     if not model.linear:
         numbers["turns_travelled"] = span / (2 * np.pi)
     if model.input_kind in ("voltage", "current"):

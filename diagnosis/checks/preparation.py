@@ -144,6 +144,7 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     """Return the records as segments of so many seconds, by default of a length for this servo,
     with their smoothed motion.
     """
+    # the grid of segments and of the averages in them
     seconds = seconds or segment_seconds(model, records)
     h, velocity = records[0].h, model.output_kind == "velocity"
     length = max(8, round(seconds / h))
@@ -154,9 +155,11 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         raise BristleError(
             f"records: none lasts three segments of {length * h:g} s; give longer ones"
         )
+    # the sensor's step, or the noise in its place
     resolution = model.resolution or max(r.resolution or 0.0 for r in records)
     noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
     resolution, grid = resolution or max(noise, 1e-12), Grid(h, width, bins, velocity)
+    # the segments, their smoothed motion, and which effects these records can show
     pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution) for r in long)
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3

@@ -201,6 +201,7 @@ class Balance:
         damping = BALANCE_DAMPING
         for _ in range(steps):
             balanced, slopes = best
+            # normal equations, of the parameters that do not press against an interval
             normal = np.einsum("s,snp,snq->pq", balanced.weight, slopes, slopes, optimize=True)
             pull = np.einsum(
                 "s,snp,sn->p", balanced.weight, slopes, balanced.residual, optimize=True
@@ -212,12 +213,14 @@ class Balance:
             )
             if not active.any():
                 break
+            # a damped step, with each parameter scaled to unit curvature
             step = np.zeros(len(free))
             size = np.sqrt(np.diag(normal) + scale)
             table = (normal + np.diag(scale)) / np.outer(size, size)
             step[active] = (
                 np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
             )
+            # kept if it gains, else the next one is shorter
             trial = self._at(law, effects, free, moved(free, balanced.values, step))
             gain = trial[0].total - balanced.total
             if gain > 0:

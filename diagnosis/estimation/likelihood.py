@@ -266,12 +266,14 @@ def scored(problem: Problem, point: FitPoint, linearised: Linearised) -> Fit:
     """Return the likelihood of what a simulation at a point has given."""
     white = linearised.residual @ problem.noise.whiten.T
     mean, deviation = problem.prior_states(point.simulator, point.values)
+    # the initial states are eliminated, so that the misfit is the least they leave
     precision, offset = deviation**-2, mean - point.initial
     elimination = InitialStateElimination.of(linearised.by_initial, white, precision, offset)
     misfit_at_initial = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
     eliminated = misfit_at_initial - np.einsum(
         "si,si->s", elimination.gradient, elimination.step(elimination.gradient)
     )
+    # a t distribution for each segment; the cost is what does not depend on the misfit
     misfit = np.where(linearised.good, np.maximum(eliminated, 0.0), FAILED_MISFIT)
     n = white.shape[1] - 2
     cost = (
@@ -282,6 +284,7 @@ def scored(problem: Problem, point: FitPoint, linearised: Linearised) -> Fit:
         for each in (misfit, np.where(linearised.good, misfit_at_initial, FAILED_MISFIT))
     )
     score = np.where(problem.counted, score, 0.0)
+    # outliers weigh less in the information of the parameters
     weight = np.where(
         problem.counted & linearised.good,
         (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit),

@@ -81,10 +81,12 @@ def estimate(
     Source: patterson1971 (restricted maximum likelihood).
     """
     bins = residual.shape[1]
+    # constants and ramps are projected out
     ramp = np.column_stack([np.ones(bins), np.linspace(-1, 1, bins)])
     free = np.linalg.svd(ramp, full_matrices=True)[0][:, 2:]
     projected = free.T @ residual.T
     sample = (projected * weights) @ projected.T / weights.sum()
+    # at each corner all ratios of disturbance to sensor at once, in its eigenvectors
     best = (np.inf, 0.0, 0.0, CORNERS[0])
     for corner in (c for c in CORNERS if c >= slowest):
         full = colour(pulses, corner, h)
@@ -92,6 +94,7 @@ def estimate(
         values, vectors = np.linalg.eigh(free.T @ full @ free / unit)
         power = np.einsum("ij,ik,kj->j", vectors, sample, vectors)
         spectrum = 1 + RATIOS[:, None] * np.maximum(values, 0.0)
+        # the likeliest variance of the sensor at each ratio is known in closed form
         variance = np.maximum((power / spectrum).mean(axis=1), least**2)
         cost = np.log(variance[:, None] * spectrum).sum(axis=1) + (
             power / (variance[:, None] * spectrum)
@@ -105,6 +108,7 @@ def estimate(
                 corner,
             )
     _, sensor, torque, corner = best
+    # what whitens residuals under the best of them
     covariance = sensor * np.eye(bins) + torque * colour(pulses, corner, h)
     factor = np.linalg.cholesky(covariance)
     return Noise(

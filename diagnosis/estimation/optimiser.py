@@ -258,11 +258,13 @@ def refit_nonsmooth(fit: Fit, noise_problem: NoiseProblem, effects: Sequence[str
     for spread in NONSMOOTH_SPREADS:
         problem = noise_problem(fit)
         fit = best = rescored(problem, fit)
+        # the best of random values around the fit so far
         for step in spread * wide * rng.standard_normal((NONSMOOTH_TRIALS * len(own), len(own))):
             trial = evaluate(
                 problem, fit.at(perturbed_values(best.values, own, step), best.initial)
             )
             best = max((best, trial), key=lambda each: each.total)
+        # from there along derivatives, which counts only if it gains enough
         new = max(
             (best, rescored(problem, refit_rescored(best, noise_problem, FIT_ITERATIONS))),
             key=lambda each: each.total,

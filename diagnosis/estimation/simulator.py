@@ -200,6 +200,7 @@ class Simulator:
         the initial states that were simulated.
         """
         s, count = self.segments, len(initial)
+        # initial states in the simulator's own columns, lags in rad and rad/s
         starts = np.full((count, self.width), np.nan)
         starts[:, : initial.shape[1]] = initial[:, : self.width]
         if self.play:
@@ -208,6 +209,7 @@ class Simulator:
         sens = np.empty((count, s.bins, len(self.names) + self.width)) if jacobian else None
         good = np.empty(count, dtype=np.uint8)
         chosen = np.ascontiguousarray(starts[:, self._chosen])
+        # chains of segments, one group after the other, each chain a lane
         for chains in self._chains:
             self._lanes.begin(self._table(chains, values, starts))
             self._lanes.library.lanes_segments(
@@ -235,6 +237,7 @@ class Simulator:
                 pointer(sens),
                 pointer(good),
             )
+        # the states that were simulated, a lag again over half the play
         starts[:, self._chosen] = chosen
         if self.play:
             self._scale_by_play(values, starts, sens)

@@ -106,6 +106,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
             for f in own
         ]
     )
+    # likelihoods of random values around the fit
     steps = wide * np.random.default_rng(3).standard_normal(
         (PARABOLA_TRIALS * (1 + k + len(pairs)), k)
     )
@@ -113,6 +114,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
         evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total
         for step in steps
     ]
+    # the parabola through them, and how far they scatter around it
     columns = np.column_stack(
         [np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)]
     )
@@ -120,6 +122,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     uneven = math.sqrt(
         float(np.square(totals - columns @ coefficients).sum()) / (len(steps) - len(coefficients))
     )
+    # where it falls far enough; directions in which it hardly falls end at the widest
     curvature = np.zeros((k, k))
     for (i, j), c in zip(pairs, coefficients[1 + k :], strict=True):
         curvature[i, j] -= c

@@ -103,10 +103,12 @@ def propose(
             f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
             f" {', '.join(files.names[:20])}"
         )
+    # the reading of the columns that a servo explains best, and rough parameters
     times, inputs, outputs = _candidates_of(files, asked)
     best, doubts = _best(tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
     rough, rough_doubts = _rough(best)
+    # what was not chosen and what is uncertain
     others = {
         "time": tuple(times[1:]),
         "input": _other(inputs, best.input),

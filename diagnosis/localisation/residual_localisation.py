@@ -147,19 +147,23 @@ def shares(
     signs = np.concatenate(
         [np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))]
     )
+    # of each view its table of functions, with the strongest wave in it
     details, tables = {}, bases(m, h, step)
     for view, (waves, facts) in _searched(response, m, rough, wording).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         details[view] = facts
+    # how well each predicts left-out segments, with their signs and with random ones
     predicted = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in predicted.values()], axis=0)
     ps = {
         view: (chance(strongest, draws[0]), chance(draws[1:], draws[0]))
         for view, (draws, _) in predicted.items()
     }
+    # a tone also has to exceed the highest line of spectra with random signs
     middle = _middle(response, rough).reshape(rough.shape)[live]
     highest = line_p(m.time[middle], clocks(m)[middle[:, 0]], rough[live], signs)
     ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
+    # shares of the output's power
     whole = float(np.square(response.plain(response.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in predicted.items():

@@ -146,6 +146,7 @@ def fitted_curve(dataset: Dataset, final: FittedModel) -> FittedCurve | None:
     out from the search take no part.
     """
     response = ResidualResponse(final, dataset)
+    # the variable whose curve predicts most
     best: tuple[float, TorqueCurve, Array] | None = None
     for variable, x in _variables(dataset, final).items():
         low, high = map(float, np.quantile(x[dataset.motion.moving], RANGE_QUANTILES))
@@ -158,6 +159,7 @@ def fitted_curve(dataset: Dataset, final: FittedModel) -> FittedCurve | None:
     if best is None:
         return None
     _, curve, hats = best
+    # the curve in turn with the model's own parameters
     servo = replace(final.servo, effects=(*final.servo.effects, curve.effect))
     simulator, fitted = servo.simulator(final.fit.simulator.segments), final
     for k in range(FILL_PASSES):
@@ -174,5 +176,6 @@ def fitted_curve(dataset: Dataset, final: FittedModel) -> FittedCurve | None:
         fit = refit_with_noise(dataset, refit_parameters(fitted.problem, point))
         problem = under_own_noise(dataset, fit)
         fitted = FittedModel(servo, problem, resume(problem, fit))
+    # what it is worth in the segments held out
     before, after = (squares(each.fit, dataset.held_out) for each in (final, fitted))
     return FittedCurve(curve, fitted, before, after)

@@ -158,11 +158,13 @@ def summary(proposal: Proposal) -> list[str]:
         if proposal.differences
         else steps
     )
+    # the columns as they were read
     lines = [
         f"time    {_of(proposal.time)}, every {1e3 * first.h:.4g} ms{_or(proposal, 'time')}",
         f"input   {_of(proposal.input)}, {proposal.input.kind}{_or(proposal, 'input')}",
         f"output  {_of(proposal.output)}, {proposal.output.kind}{steps}{_or(proposal, 'output')}",
     ]
+    # rough parameters, and what the records excite
     units = _declared()
     values = ", ".join(
         f"{n} {r.value:g} {own_unit(units[n], linear, proposal.input.kind)}"
@@ -181,6 +183,7 @@ def summary(proposal: Proposal) -> list[str]:
         f" {speed['highest']:.3g} {length}/s, range {x['range_travelled']['value']:.3g} {length},"
         f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
     )
+    # what is not certain
     notes = [*proposal.doubts, *(line for record in proposal.records for line in record.findings)]
     if proposal.excited.uniform:
         why = said(proposal.excited.uniform)

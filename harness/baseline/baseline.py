@@ -327,6 +327,7 @@ def read_baseline(folder: Path) -> Baseline:
     """
     tree, result = (read_json(folder / name) for name in ("baseline.json", "result.json"))
     try:
+        # rows, values and tolerances of the signals, which must have one shape
         with np.load(
             io.BytesIO((folder / "signals.npz").read_bytes()), allow_pickle=False
         ) as content:
@@ -338,12 +339,14 @@ def read_baseline(folder: Path) -> Baseline:
             raise ValueError(shape)
         quantities = {path: Judged(**each) for path, each in tree["quantities"].items()}
         runs = tree["runs"]
+        # no row may lack that every baseline of so many steps has
         if missing(rows, thinned(rows_of(result))):
             raise ValueError(rows)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         raise BristleError(
             f"{folder}: is no complete baseline; make it again with bristle accept"
         ) from None
+    # tolerances are stored as distances from the values
     signals = Signals(
         rows,
         dict(zip(names, values, strict=True)),

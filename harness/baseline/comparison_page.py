@@ -99,12 +99,14 @@ def _moves(course: SignalCourse) -> bool:
 def _draw(each: SignalVerdict, course: SignalCourse, of: str) -> Drawing:
     from matplotlib import rc_context
 
+    # the worst point and what is close to it
     place = 0 if each.time is None else int(np.argmin(np.abs(course.time - each.time)))
     close = np.arange(max(0, place - CLOSE_ROWS), min(len(course.time), place + CLOSE_ROWS + 1))
     with rc_context(STYLE):
         drawn = new_figure(*COURSE_SIZE)
         whole, near = drawn.subplots(1, 2, width_ratios=(2, 1))
         drawn.subplots_adjust(wspace=BETWEEN)
+        # the whole course, and enlarged around that point
         for ax, rows, title in (
             (whole, np.union1d(extremes(course.values, COLUMNS), [place]), each.name),
             (near, close, "worst point"),

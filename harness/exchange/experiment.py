@@ -430,6 +430,7 @@ def _files(fmu: Path, replayed: ReplayedExperiments) -> dict[str, str | bytes]:
         "experiments": rows,
         "changed": list(replayed.changed),
     }
+    # the numbers, the signals of each experiment, and a page of both
     made = provenance()
     files: dict[str, str | bytes] = {"result.json": to_json({**about, "provenance": made})}
     for k, each in enumerate(replayed.experiments, 1):

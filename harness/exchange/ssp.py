@@ -79,6 +79,7 @@ def _description(system: SystemStructure) -> bytes:
     )
     whole = ET.SubElement(root, f"{{{SSD}}}System", name=system.name)
     elements = ET.SubElement(whole, f"{{{SSD}}}Elements")
+    # components with their connectors and parameter values
     for each in system.components:
         component = ET.SubElement(
             elements, f"{{{SSD}}}Component", name=each.name, type=each.type, source=each.source
@@ -94,6 +95,7 @@ def _description(system: SystemStructure) -> bytes:
             ET.SubElement(
                 bindings, f"{{{SSD}}}ParameterBinding", source=f"resources/{each.name}.ssv"
             )
+    # connections between them
     connections = ET.SubElement(whole, f"{{{SSD}}}Connections")
     for (source, output), (target, given) in system.connections:
         ends = {
@@ -103,6 +105,7 @@ def _description(system: SystemStructure) -> bytes:
             "endConnector": given,
         }
         ET.SubElement(connections, f"{{{SSD}}}Connection", ends)
+    # the step and the times of a run
     if system.step is not None:
         _annotate(whole, system.step)
     times = {
@@ -150,6 +153,7 @@ class SystemPackage(Archive):
         whole = root.find(f"{{{SSD}}}System")
         if root.tag != f"{{{SSD}}}SystemStructureDescription" or whole is None:
             raise self.mistake(f"{DESCRIPTION} is no description of a system by SSP 1.0")
+        # components with values of their own or the whole system's, and connections
         shared = dict(self._values(whole))
         components = tuple(
             self._component(each, shared) for each in whole.findall(f"{{{SSD}}}Elements/*")
@@ -161,6 +165,7 @@ class SystemPackage(Archive):
             for each in whole.findall(f"{{{SSD}}}Connections/{{{SSD}}}Connection")
         )
         self._check_ends(components, connections)
+        # times of a run, and the step that OMSimulator keeps in an annotation
         about = root.find(f"{{{SSD}}}DefaultExperiment")
         times = (
             {}

@@ -79,6 +79,7 @@ class ModelValidation:
             for name in BASELINES
             if name in self.scores
         }
+        # the fitted models that these are compared with
         out["fits"] = {
             name: {
                 "law": f.model,
@@ -104,11 +105,13 @@ def identified_model(
     `known` are parameters that the observer is given instead of estimating them (alpha2, b of a
     step 2 alone).
     """
+    # what is known at the end
     have = dict(known) | {
         name: e["final"]
         for name, e in estimates.items()
         if e["valid"] and math.isfinite(e["final"])
     }
+    # the richest law first; one whose parameters nothing gives is left out
     for law, names in MODEL_PARAMETERS.items():
         missing = [name for name in names.values() if name not in have and name not in NOMINAL]
         if missing:

@@ -89,11 +89,13 @@ def _eq25(comparison: PaperComparison) -> Any:
     ax.axvspan(
         low, high, color=GREY, alpha=0.3, linewidth=0, label=f"printed: {low:g} to {high:g} %"
     )
+    # the schemes, and the models fitted to the second record
     looks = {scheme: (SCHEME_COLOURS[scheme], "o", LETTERS[scheme]) for scheme in SCHEMES}
     looks |= {
         name: (INK, mark, MODEL_LABELS[name])
         for name, mark in (("coulomb", "D"), ("floor", "|"), ("linear", "s"))
     }
+    # a mark in the row of each record where the model has a score
     for name, (colour, mark, label) in looks.items():
         points = [
             (row[name], k)
@@ -197,12 +199,14 @@ def _estimates(comparison: PaperComparison, colours: dict[str, str], step: str, 
         case = _case(comparison, scheme)
         begin = case.begin if step == "step2" else 0.0
         time_panel(ax, step, (first, last))
+        # estimates over the values that the paper prints
         for name, colour in colours.items():
             printed = larger * PRINTED[name].values[0]
             time_horizontal(ax, printed, colour, DASHED[1], linewidth=0.9)
             if name in case.hats:
                 time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])
+        # a scheme that diverged says when
         if failed := case.result.get("diverged"):
             set_title(
                 ax, f"diverged at {failed['time_s']:.3g} s", loc="right", fontsize=8, color=FAILED
@@ -251,6 +255,7 @@ def _validation(comparison: PaperComparison) -> Any:
         case = _case(comparison, scheme)
         for ax in (top, low):
             time_panel(ax, "second record", (first, last))
+        # velocities and their error, with the score as eq. (25) in the title
         _overlay(top, low, case, model, colour)
         row_of = comparison.content["eq25"][0]
         score = row_of["linear" if model == "linear" else scheme]
@@ -266,6 +271,7 @@ def _validation(comparison: PaperComparison) -> Any:
             loc="right",
             fontsize=8.5,
         )
+        # the axes of the paper, labelled at the left and at the bottom only
         top.set_ylim(*PRINTED["validation_range"].values)
         low.set_ylim(-120, 120)
         for ax in (top, low):

@@ -370,6 +370,7 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
         )
         ax.set_axis_off()
         return
+    # bars on a log scale, which a perfect model may not leave to the left
     values = [max(value, 1e-14) for _, value in shown]
     left = 10 ** math.floor(math.log10(min(values)) - 0.5)
     right = max(values) * 1.5

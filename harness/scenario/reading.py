@@ -188,9 +188,11 @@ def _override(tree: dict[str, Any], override: str) -> None:
             f"override '{override}': not path=value; write for example plant.parameters.J=0.002"
             " kg.m2"
         )
+    # the name of a parameter contains dots
     if len(keys) > 2 and keys[0] in PARAMETER_PARTS and keys[1] == "parameters":
         keys = [*keys[:2], ".".join(keys[2:])]
     node: Any = tree
+    # down the tree; the last key gets the value
     for depth, key in enumerate(keys):
         last = depth == len(keys) - 1
         if isinstance(node, list):

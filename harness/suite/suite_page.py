@@ -89,6 +89,7 @@ def junit(tested: Sequence[CaseResult], waiting: Sequence[SuiteCase] = ()) -> by
                 ElementTree.SubElement(
                     case, kind, {"message": said[0] if said else ""}
                 ).text = "\n".join(said)
+    # cases that did not run
     for left in waiting:
         name, attributes = left.path.stem, {"tests": "1", "skipped": "1"}
         suite = ElementTree.SubElement(root, "testsuite", {"name": name, **attributes})

@@ -165,9 +165,11 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
             runs.numbers(f"estimates.{name}.{part}")
             for part in ("final", "true", "sd", "error_percent")
         )
+        # errors where there is a true value, and whether the intervals hold it
         known = np.isfinite(error)
         told = np.isfinite(final) & np.isfinite(true) & np.isfinite(sd)
         holds = np.abs(final - true)[told] <= NORMAL_QUANTILE * sd[told]
+        # runs in which the observer estimates it at all
         estimated = np.array(
             [value is not None for value in runs.column(f"estimates.{name}.valid")]
         )
@@ -368,6 +370,7 @@ def _scatter(runs: Runs, pairs: Sequence[tuple[str, str]], shown: NDArray[np.int
             scale_x, scale_y = (
                 _scale(runs, name, axis) for name, axis in ((x, ax.xaxis), (y, ax.yaxis))
             )
+            # a dot for each place, linked to its run
             for what, colour in PLACES.items():
                 chosen = [(at, run) for at, (said, run) in places.items() if said == what]
                 if chosen:

@@ -209,6 +209,7 @@ def _overlay(diagnosis: Diagnosis) -> Any:
         return None
     trace, part = worst_stretch
     model, both = diagnosis.model, improved(diagnosis)
+    # the whole record above, its worst part with the errors below
     figure = new_figure(11.0, 6.1)
     grid = figure.add_gridspec(3, 1, height_ratios=[0.7, 1.7, 1.0], hspace=0.5)
     along, top, low = (figure.add_subplot(grid[row]) for row in range(3))
@@ -221,6 +222,7 @@ def _overlay(diagnosis: Diagnosis) -> Any:
     for ax in (top, low):
         time_panel(ax, trace.name, (float(time[part][0]), float(time[part][-1])))
         _shade(ax, time, trace.held_out)
+    # measured and simulated, and the error below them
     time_curve(top, time, measured, MEASURED, "measured", linewidth=2.6)
     for name, values, colour, style in curves:
         label = f"simulated, {name}" if both else "simulated, refitted model"

@@ -54,6 +54,7 @@ def open_loop_figure(
     for ax in (top, low):
         time_panel(ax, trace.name)
     time_curve(top, trace.time, factor * trace.measured, MEASURED, "measured", linewidth=2.6)
+    # simulated over measured, and the error below
     for curve in curves:
         if curve.simulated is not None:
             time_curve(

@@ -183,6 +183,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
         f"Simulated in open loop over whole records, the model is {last.after:.3g} {unit} rms from"
         " what was measured"
     )
+    # compared with before
     if last.before != last.after:
         line += (
             f", {last.before:.3g} {unit} before"
@@ -191,6 +192,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
         )
     if whole.worse:
         line += ": over so long a time it is worse than without what was found"
+    # which parameters it has
     if not whole.refitted:
         longer = f"a refit to more than segments of {segment:.3g} s"
         why = (
