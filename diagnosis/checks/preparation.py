@@ -237,6 +237,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
     Parameters with bounds are free, with a wide prior around their nominal values.
     """
     s, given = dataset.segments, {"b": 1.0, **model.parameters}
+    # the model's own parameters
     free = []
     for name, (low, high) in model.bounds.items():
         doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
@@ -246,6 +247,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         f"{model.friction}.Fc" in given and not find_law(model.friction).states,
     )
     rigid = dry and not set(model.effects) & set(BRISTLE_EFFECTS)
+    # rigid friction gets bristles that deflect by less than a step of the sensor
     if dry:
         step = dataset.resolution * (s.h if s.velocity else 1.0)  # of the sensor, in position
         least = max(given[f"{model.friction}.Fc"], 1e-9) / (BRISTLE_DEFLECTION * step)
@@ -260,6 +262,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
             free.append(
                 Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping)
             )
+    # effects that the model has already
     for effect, own in model.effects.items():
         values |= {f"{effect}.{name}": value for name, value in own.items()}
         free += [] if effect in UNNAMED_TORQUES else _prior_around(effect, own)

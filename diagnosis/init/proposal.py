@@ -325,12 +325,14 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     regression: Regression = regress(reading.rows)
     torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
     scale = regression.rows.scale  # rms of acceleration, speed and direction
+    # what is not known takes the value of a regression that allows no negative ones
     positive = explained_share(replace(regression.rows, free=regression.rows.free[:, :0]))[1]
     known = regression.known(KNOWN_ERRORS)
     rough, doubts = {}, []
     for k, name in enumerate(("J", "a2", "Fc")):
         value = regression.value[k] if known[k] else positive[k]
         most = FRICTION_SHARE * torque / float(scale[k])
+        # an inertia that is not shown is a guess with wide bounds
         if name == "J" and not (known[k] and value > 0.0):
             value = value if value > 0.0 else min(most, max(regression.error[k], 1e-3 * most))
             rough[name] = Rough(
@@ -344,6 +346,7 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
         rough[name] = Rough(
             value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most))
         )
+    # values that no servo has mean wrong units
     for name, parameter in (("J", J), ("a2", A2)):
         if not parameter.minimum <= rough[name].value <= parameter.maximum:
             unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)

@@ -84,6 +84,7 @@ def _searched(
     middle = _middle(response, rough)
     r, theta = rough.ravel(), m.theta[middle]
     clock = clocks(m)
+    # the strongest line of the residual's spectrum, a wave of its own for each clock
     frequency, amplitudes = spectrum(
         m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough
     )
@@ -97,6 +98,7 @@ def _searched(
             {"label": finding(Reason.WAVE_IN_TIME, frequency=tone), "frequency": tone},
         )
     }
+    # the strongest wave along the position, for each way in which it may act
     turns = np.arange(1.0, MOST_PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)

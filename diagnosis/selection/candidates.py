@@ -137,6 +137,7 @@ def fit_candidates(
     def in_time(candidate: Callable[[], EffectFit], otherwise: EffectFit) -> EffectFit:
         return within(context.options.deadline, candidate) or replace(otherwise, reason=OUT_OF_TIME)
 
+    # all effects are fitted roughly
     cheap_first = sorted(names, key=lambda name: bool(find_effect(name).coupling))
     by_name = dict(zip(cheap_first, context.options.map(screened, cheap_first), strict=True))
     tried = [by_name[name] for name in names]
@@ -155,6 +156,7 @@ def fit_candidates(
             ),
             tried,
         )
+    # the most promising ones are refitted to the end
     null = _null(context, tried)
     chosen = _most_promising(context, tried, null)
     if not chosen:

@@ -204,6 +204,7 @@ def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
         return comparison
     if new := [name for name in b.signals.values if name not in a.signals.values]:
         notes.append(f"signals that only B has, not judged: {', '.join(new)}")
+    # signals at the common instants, and the numbers of the results
     time = np.asarray(rows * float(result_a["step_s"]), dtype=np.float64)
     courses = _courses(a.signals, b.signals, time, at_a, at_b)
     return replace(

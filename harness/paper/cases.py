@@ -162,6 +162,7 @@ def _predicted(checked: Checked, run_outcome: Outcome, second: Data | None) -> P
         remark = Remark("invalid", "the observer calls these estimates not valid")
     if model.law is None or model.problem is not None or second is None:
         return Prediction(remark=Remark("none", str(model.problem or "there is no second record")))
+    # the model on the second record
     mse, velocity = score(second, model, checked.lean)
     return Prediction(
         model.law, model.parameters, mse if math.isfinite(mse) else None, velocity, remark

@@ -118,6 +118,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     set_title(ax, f"{PLAIN_SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
     time_panel(ax)
     true = pictures.true.get(name)
+    # the true value with the band in which an estimate counts as settled
     if true is not None:
         drawn = true if np.ptp(true) else true[[0, -1]]
         when = time if np.ptp(true) else time[[0, -1]]
@@ -130,10 +131,12 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
             0.16,
         )
         time_curve(ax, when, drawn, TRUTH, "true value", linestyle=(0, (4, 3)), linewidth=1.1)
+    # the estimate
     _limits(ax, course, true)
     _course(ax, time, course)
     ax.set_xlim(0, time[-1] or 1.0)
     ax.yaxis.get_offset_text().set_x(-0.22)  # a factor of the ticks, which would cover the title
+    # when it settled and how far it is off, in the title
     settled, error = facts.get("settling_s"), facts.get("error_percent")
     if settled and math.isfinite(settled):
         time_mark(ax, settled, LIMIT)
@@ -309,6 +312,7 @@ def _friction(pictures: Pictures) -> Any:
             color=colour,
             linewidth=width,
         )
+    # units of the rig, and the range near rest
     position = pictures.rig.position
     inertia = "mass" if position == "m" else "inertia"
     set_labels(wide, y=f"friction over {inertia}, {position}/s²")

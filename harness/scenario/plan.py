@@ -349,6 +349,7 @@ def validation(setup: RunSetup) -> Bus:
     """
     demand = setup.scenario.validation
     assert demand is not None
+    # the seed must be there, and be another one
     if not setup.fmus["controller"].has("seed", "parameter"):
         raise setup.loaded.error(
             "validation.seed",

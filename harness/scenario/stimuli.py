@@ -119,6 +119,7 @@ def _signals(loaded: Loaded, free: Free, h: float) -> Iterator[Signal]:
     stimuli = loaded.scenario.stimuli
     for i, stimulus in enumerate(stimuli):
         key, name = f"stimuli[{i}]", stimulus.variable
+        # each free input has one stimulus at most
         if name in [earlier.variable for earlier in stimuli[:i]]:
             raise loaded.error(
                 f"{key}.variable", name, "has a stimulus already; put all points into one"

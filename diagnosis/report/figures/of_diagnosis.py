@@ -297,6 +297,7 @@ def _thousands(values: Sequence[Array]) -> int:
 def _map(ax: Any, view: ResidualView, model: Model, both: bool, scale: float) -> None:
     factor, label = view_axis(model, view.view, view.period)
     x = factor * view.centres
+    # a line for each row of the map, before and after
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
         name = f" {view.lines[row]}" if row < len(view.lines) else ""
