@@ -17,9 +17,7 @@ _seen: set[tuple[str, int, int, int]] = set()
 
 
 def cache_folder() -> Path:
-    """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created if
-    missing.
-    """
+    """Return the cache folder, created if missing: $BRISTLE_CACHE, else the platform's place."""
     if given := os.environ.get("BRISTLE_CACHE"):
         return _usable(Path(given))
     try:

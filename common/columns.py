@@ -1,6 +1,4 @@
-"""Columns of numbers by name, as all readers of files return them, and how many of them a file may
-hold.
-"""
+"""Columns of numbers by name, as all readers return them, and how many a file may hold."""
 
 from __future__ import annotations
 
@@ -106,9 +104,7 @@ def columns_of(path: Path, found: Mapping[str, object], index: str = "[:, {}]") 
 
 
 def _no_numbers(array: NDArray[np.generic]) -> str:
-    """Return what an array holds if it cannot serve as one column or several; an empty text if it
-    can.
-    """
+    """Return what an array holds if it cannot serve as columns; an empty text if it can."""
     if array.dtype.kind not in "fiuM":
         return KINDS.get(array.dtype.kind, "objects")
     if array.size == max(array.shape, default=0):

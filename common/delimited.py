@@ -37,9 +37,7 @@ Rows = Sequence[Sequence[str]]
 
 @dataclass(frozen=True)
 class _Heading:
-    """What stands above the numbers: names and units of the columns, the index of the first row of
-    numbers.
-    """
+    """What stands above the numbers: names and units of columns, index of their first row."""
 
     names: list[str]
     units: dict[str, str]
@@ -157,9 +155,7 @@ def _width(rows: Rows) -> int:
 
 # -- header ----------------------------------------------------------------------------------------
 def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Heading:
-    """Find the names of the columns, the row of units below them, if any, and the first row of
-    numbers.
-    """
+    """Find the names of columns, the row of units below, if any, and the first row of numbers."""
     filled = _filled(rows, 0)
     below = [rows[k] for k in filled[len(filled) // 2 :]]
     width = _width(below)
@@ -265,9 +261,7 @@ def _is_units(row: Sequence[str]) -> bool:
 
 # -- numbers ---------------------------------------------------------------------------------------
 def _fast(lines: list[str], mark: str, comma: bool) -> Array:
-    """Return a table of nothing but numbers, read at the speed of C; of another, a table without
-    columns.
-    """
+    """Return a table of only numbers, read at the speed of C; else a table without columns."""
     if comma:
         lines = [line.replace(",", ".") for line in lines]
     try:

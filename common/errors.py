@@ -42,9 +42,7 @@ __all__ = [
 
 
 class BristleError(ValueError):
-    """A mistake in what the user gave: one line that says what, where, what is allowed and what to
-    do.
-    """
+    """A mistake in what the user gave: one line on what, where, what is allowed, what to do."""
 
 
 class SimulationError(BristleError, ArithmeticError):

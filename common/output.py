@@ -36,9 +36,7 @@ NEW, BEFORE = "new", "old"  # in a work folder: what is to come, and what was th
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: arrays become lists, and what is not a finite number
-    becomes null.
-    """
+    """Return a value as JSON can hold it: arrays become lists, numbers that are not finite null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -281,9 +279,7 @@ def _switch(work: Path, out: Path, names: Sequence[str]) -> None:
 
 
 def _journal(work: Path) -> tuple[list[str], list[str]]:
-    """Return the names of what is to be put into its place and of what is to go; both lie inside
-    the folder.
-    """
+    """Return the names of what is put into its place and of what goes; both are inside it."""
     path = work / JOURNAL
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -15,9 +15,7 @@ Array = NDArray[np.float64]
 
 
 def table_text(columns: Mapping[str, Array], digits: int | None = None) -> str:
-    """Return columns of numbers as CSV with a head; without `digits`, with as many as give the same
-    doubles.
-    """
+    """Return columns as CSV with a head; without `digits`, enough to give the same doubles."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
     np.savetxt(

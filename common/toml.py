@@ -1,6 +1,4 @@
-"""TOML files: reading, checking against a schema, one-line errors with file, key, value and what to
-do.
-"""
+"""TOML files: reading, checking against a schema, errors with file, key, value and what to do."""
 
 from __future__ import annotations
 
@@ -45,9 +43,7 @@ class InUnit:
 
 
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
-    """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario
-    file").
-    """
+    """Return text and tree of a TOML file; `what` names its kind in an error ("scenario file")."""
     if path.is_dir():
         raise BristleError(f"{path}: is a folder; give a {what}")
     check_regular(path)

@@ -54,9 +54,7 @@ _PRODUCT = str.maketrans({"·": ".", "*": ".", "×": ".", "⋅": ".", "²": "2",
 
 
 def unit_symbol(text: str) -> str | None:
-    """Return a unit as `parse_unit` reads it, `COUNTS` for steps of an encoder, None if it is not
-    known.
-    """
+    """Return a unit as `parse_unit` reads it, `COUNTS` for steps of an encoder, None if unknown."""
     text = text.strip().strip("[](){}<> ").translate(_PRODUCT)
     if not text:
         return None

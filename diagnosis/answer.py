@@ -193,9 +193,7 @@ def _coded(fact: Any) -> Any:
 # -- parameters and effects ------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a
-    limit.
-    """
+    """A fitted parameter (SI) with its 95 % interval; `at_bound` where the fit ended at a limit."""
 
     value: float
     unit: str
@@ -225,9 +223,7 @@ class Named:
 
     @property
     def known(self) -> bool:
-        """True if its strength, or its free play, is known; otherwise it may stand in for something
-        else.
-        """
+        """True if its strength, or its free play, is known; else it may be a stand-in."""
         return self.known_within(STRENGTH_HALF_WIDTH)
 
     def known_within(self, share: float) -> bool:
@@ -332,9 +328,7 @@ class Round:
 
     @property
     def unfinished(self) -> tuple[str, ...]:
-        """Candidates that were not tried, or not to the end, since the time budget did not
-        suffice.
-        """
+        """Candidates that were not tried, or not to the end, for lack of time."""
         late = finding(Reason.OUT_OF_TIME)
         return tuple(c.name for c in self.candidates if c.reason == late)
 
@@ -520,9 +514,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class RecordTrace:
-    """Measured and simulated output of one record, a value a bin, shape (n,); NaN where it was not
-    compared.
-    """
+    """Measured and simulated output of one record, a value a bin, (n,); NaN where not compared."""
 
     name: str
     time: Array  # [s]
@@ -816,9 +808,7 @@ class Diagnosis(_Written):
         return self.writer.excitation(self.excited)
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the verdict, the answer in sentences, and a table of the
-        effects.
-        """
+        """Return what a notebook shows: the verdict, the answer, a table of the effects."""
         return self.writer.notebook(self)
 
     def to_dict(self) -> dict[str, Any]:

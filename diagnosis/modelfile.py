@@ -110,9 +110,7 @@ class Model(Layout):
         return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
 
     def unit_in_fmu(self, name: str, unit: str) -> str:
-        """Return the unit of a variable of a plant FMU, from its name and its unit in
-        ServoPlant.
-        """
+        """Return the unit of a variable of a plant FMU, by its name and its unit in ServoPlant."""
         return unit_on(name, unit, self.linear, self.input_kind)
 
     def allowed(self, name: str) -> tuple[float, float]:
@@ -193,9 +191,7 @@ def si_unit(unit: str, linear: bool, kind: str) -> str:
 
 
 def own_unit(parameter: Parameter, linear: bool, kind: str) -> str:
-    """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear
-    axis, too.
-    """
+    """Return the unit of a parameter on such a rig; the phase of a wave is always an angle."""
     return unit_on(parameter.name, parameter.unit, linear, kind)
 
 
@@ -438,9 +434,7 @@ def _effect(file: _File, name: str, given: Mapping[str, Given]) -> dict[str, flo
 
 # -- and back --------------------------------------------------------------------------------------
 def model_text(model: Model) -> str:
-    """Return a model file that reads back as this model; numbers in full precision, units as
-    comments.
-    """
+    """Return a model file that reads back as this model; full precision, units as comments."""
     short = {name: name.removeprefix(f"{model.friction}.") for name in model.parameters}
     lines = [f"friction = {quoted(model.friction)}", "", "[parameters]"]
     lines += [

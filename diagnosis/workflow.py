@@ -243,9 +243,7 @@ def _taken(
 
 
 def _cut_short(outcome: SearchOutcome, budget: Budget, later: Sequence[Finding]) -> list[Finding]:
-    """Return what is said of what a time budget left out, of the search and after it (`later`), if
-    it did.
-    """
+    """Return what is said of what a time budget left out, of the search and `later`, if it did."""
     unfinished = outcome.rounds[-1].said.unfinished
     left = [finding(Reason.EFFECTS_UNFINISHED, effects=unfinished)] if unfinished else []
     left += [outcome.cut_short] if outcome.cut_short and not left else []
@@ -260,9 +258,7 @@ def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
 
 
 def teller(progress: Progress | None) -> Progress:
-    """Return what progress is reported to, if anything; raise `BristleError` if that is no
-    function.
-    """
+    """Return what progress is reported to, if any; raise `BristleError` if it is no function."""
     if not (progress is None or callable(progress)):
         raise BristleError(
             f"progress is a {type(progress).__name__}; give a function of a text and the fraction"

@@ -1,6 +1,4 @@
-"""What a child process answers, as plain numbers and text: reading it runs no code, whatever wrote
-it.
-"""
+"""What a child process answers, as plain numbers and text: reading it runs no code."""
 
 from __future__ import annotations
 

@@ -35,9 +35,7 @@ class Watch:
         self._paths: list[Path] = []
 
     def start(self, control: Control, paths: Sequence[Path]) -> None:
-        """Write from now on into `control`, shape (CONTROL_SIZE,); FMUs by their places in
-        `paths`.
-        """
+        """Write from now on into `control`, shape (CONTROL_SIZE,); FMUs by places in `paths`."""
         self._control, self._paths = control, list(paths)
 
     def begin(self, path: Path, call: Call) -> None:

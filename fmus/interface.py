@@ -144,9 +144,7 @@ class Interface:
         )
 
     def _moves(self, output: str) -> bool:
-        """True if an output can change between samples: it depends on a continuous state, an input
-        or time.
-        """
+        """True if an output can change between samples: by a continuous state, an input or time."""
         for variant in self.program.variants:
             system = variant.system
             if output in system.outputs and symbols_in(system.outputs[output][1]) & {

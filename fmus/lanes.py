@@ -1,6 +1,4 @@
-"""The program behind an FMU of bristle, stepped in lanes: several runs at once, with the digits of
-the FMU.
-"""
+"""The program behind an FMU of bristle, in lanes: several runs at once, with its digits."""
 
 from __future__ import annotations
 

@@ -54,9 +54,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Outputs of each segment (n, len(outputs)), before each step; and how the FMU was restarted,
-    in words.
-    """
+    """Outputs of each segment (n, len(outputs)), before each step, and how it was restarted."""
 
     outputs: tuple[Array, ...]
     way: str

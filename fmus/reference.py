@@ -55,9 +55,7 @@ def inputs(program: Program) -> dict[str, Array]:
 
 
 def reference_run(what: str) -> dict[str, Array]:
-    """Simulate the program behind an FMU, without FMI; return time, inputs and all outputs that are
-    numbers.
-    """
+    """Simulate the program behind an FMU, without FMI: time, inputs and numeric outputs."""
     program = program_of(what)
     given = inputs(program)
     names = [x.name for x in Interface(program).of("output")]

@@ -98,9 +98,7 @@ def _watch_parent() -> None:
 
 
 def _supervise(worker: int) -> NoReturn:
-    """Wait for the worker or for the end of the parent process, end what is left, and end like the
-    worker.
-    """
+    """Wait for the worker or for the parent's end, end what is left, and end like the worker."""
     os.close(1)
     os.close(2)  # what the worker writes ends when the worker does
     status = _ended(worker)

@@ -105,9 +105,7 @@ def _guards(
 
 
 def _ready(left: Sequence[Line], done: set[str], names: Collection[str]) -> list[Line]:
-    """Return those of the named lines that need nothing but what is done and each other, in their
-    order.
-    """
+    """Return the named lines that need nothing but what is done and each other, in order."""
     found, known, among = [], set(done), set(names)
     for line in left:
         if line.name in among and known.issuperset(line.needs):

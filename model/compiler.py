@@ -1,6 +1,4 @@
-"""The C compiler: the machine's own, or zig from the extra `cross`, which also compiles for other
-platforms.
-"""
+"""The C compiler: the machine's own, or zig of the extra `cross`, also for other platforms."""
 
 from __future__ import annotations
 
@@ -301,9 +299,7 @@ def _end(pipe: FileIO) -> None:
 
 @contextmanager
 def _building(out: Path) -> Iterator[Path]:
-    """Give a folder to compile in, of its own beside `out`; what is `result` there at the end
-    becomes `out`.
-    """
+    """Give a folder beside `out` to compile in; what is `result` there at the end becomes `out`."""
     folder = out.with_name(out.name + ".build")
     folder.mkdir()
     try:

@@ -1,6 +1,4 @@
-"""What holds for every declaration of a friction law, an effect or an observer; an error names the
-file.
-"""
+"""What holds for every declaration of a law, an effect or an observer; errors name the file."""
 
 from __future__ import annotations
 
@@ -237,9 +235,7 @@ def _check_sources(part: Part, known: frozenset[str]) -> None:
 
 
 def source_keys() -> frozenset[str]:
-    """Return the keys of references.bib, and of the files of this name in the folders of
-    BRISTLE_PLUGINS.
-    """
+    """Return the keys of references.bib, and of those in the folders of BRISTLE_PLUGINS."""
     return _own_keys().union(*(_keys(root) for root in plugin_roots()))
 
 
@@ -255,9 +251,7 @@ def _keys(folder: Path) -> frozenset[str]:
 
 @cache
 def _own_keys() -> frozenset[str]:
-    """Return the keys of the references.bib of the library, from the list of them that is in the
-    package.
-    """
+    """Return the keys of the library's references.bib, from the list in the package."""
     return frozenset(
         Path(str(files("bristle.model") / "source_keys.txt")).read_text(encoding="utf-8").split()
     )

@@ -1,6 +1,4 @@
-"""A random generator that is exact in doubles, so that C and Python draw the same numbers, as
-expressions.
-"""
+"""A random generator exact in doubles, so that C and Python draw alike, as expressions."""
 
 from __future__ import annotations
 
@@ -36,9 +34,7 @@ def scrambled(seed: SX) -> SX:
 
 
 def normal(s: SX) -> tuple[SX, SX]:
-    """Return a nearly Gaussian number of variance 1, the sum of 12 uniform ones, and the generator
-    after it.
-    """
+    """Return a nearly Gaussian number of variance 1, the sum of 12, and the generator after."""
     total = SX(0)
     for _ in range(NORMAL_DRAWS):
         s = draw(s)

@@ -65,9 +65,7 @@ class Kernel:
 
 @dataclass
 class Variant:
-    """What the core needs to know about one system: its functions (`make`) and the places of its
-    states.
-    """
+    """What the core needs of one system: its functions (`make`) and the places of its states."""
 
     system: System
     make: Callable[[], dict[str, Kernel]]

@@ -1,6 +1,4 @@
-"""`System`: named variables and their equations, written once, from which everything else is
-generated.
-"""
+"""`System`: named variables and their equations, written once, from which all else follows."""
 
 from __future__ import annotations
 
@@ -165,9 +163,7 @@ class System:
         return self._symbol(state.name)
 
     def constant(self, values: dict[str, SX]) -> Namespace:
-        """Declare constants computed once, at initialisation, from parameters and earlier
-        constants.
-        """
+        """Declare constants computed once, at the start, from parameters and earlier constants."""
         self.constants.append(values)
         return Namespace({name: self._symbol(name) for name in values})
 
@@ -293,9 +289,7 @@ class System:
         return expression
 
     def check(self) -> System:
-        """Raise `EquationError` if an equation is missing or belongs to no state; otherwise return
-        self.
-        """
+        """Raise `EquationError` if an equation is missing or has no state; else return self."""
         sampled = {**self.before, **self.after, **self.modes}
         for what, declared, given in (
             ("rate", self.states, self.rates),

@@ -212,9 +212,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 
 def narrowed(p: Namespace) -> SX:
-    """Return whether the region is smaller than at the start, or the estimate has left the middle
-    of it.
-    """
+    """Return whether the region is smaller than at the start, or the estimate left its middle."""
     changed = SX(0)
     for i, whole in enumerate(widest(p)):
         for name, start in (("least", whole.lo), ("most", whole.hi), ("theta", whole.middle)):

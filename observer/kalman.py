@@ -48,9 +48,7 @@ class ServoParameters:
     width: SX = field(default_factory=lambda: SX(1))  # of the basis functions, over the nominal one
 
     def push(self, inputs: SX) -> SX:
-        """Return the acceleration by drive and load, from the inputs of the last samples, the
-        latest first.
-        """
+        """Return the acceleration by drive and load, from the last inputs, the latest first."""
         return SX(self.b * delayed(ca.vertsplit(inputs), self.delay) + self.load)
 
     def gain(self, v: SX) -> SX:
@@ -93,9 +91,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
 def states(
     vector: str, covariance: str, order: int, spreads: Sequence[float] = ()
 ) -> tuple[State, ...]:
-    """Declare the vector and its covariance, which starts from these standard deviations, or from
-    zero.
-    """
+    """Declare the vector and its covariance, from these standard deviations or from zero."""
     squares = [spread**2 for spread in spreads]
     return (
         *vector_states("joint", "1", vector, order),

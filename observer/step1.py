@@ -52,9 +52,7 @@ def speed_gate(p: Namespace, noise: SX) -> SX:
 
 
 def kept(s: Sample) -> SX:
-    """Return the share that a sample leaves of what was known, for laws that have no memory of
-    their own.
-    """
+    """Return the share that a sample leaves of what was known, for laws without memory."""
     return SX(ca.exp(-s.period / MEMORY))
 
 
@@ -92,9 +90,7 @@ def delay_deviation(sd: SX, b: SX, sd_b: SX) -> SX:
 
 
 def delay_limit(delay: SX, sd: SX) -> SX:
-    """Return up to which standard deviation a delay is valid: up to none where it is negative for
-    sure.
-    """
+    """Return up to which standard deviation a delay is valid: none where it is surely negative."""
     return SX(ca.if_else(delay > -IMPOSSIBLE_BY * sd, VALID_DELAY, 0))
 
 

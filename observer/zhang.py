@@ -169,9 +169,7 @@ def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
 
 
 def estimates(p: Namespace, prefix: str) -> dict[str, SX]:
-    """Return what is published of the estimates: the parameters and the load torque over the
-    inertia.
-    """
+    """Return what is published of the estimates: parameters and load torque over inertia."""
     return {name: p[f"{prefix}_{name}"] for name in ESTIMATES} | {
         "load": p[f"{prefix}_c_load"] / ca.fmax(p[f"{prefix}_c"], 1)
     }

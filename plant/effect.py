@@ -96,9 +96,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A second inertia: its share of the servo's J, and the torque [N.m] that the motor side hands
-    to it.
-    """
+    """A second inertia: its share of the servo's J, and the torque [N.m] of the motor side."""
 
     share: SX
     torque: SX
@@ -474,9 +472,7 @@ class _Ways:
 
 
 class Effects:
-    """The effects of one servo at work: its slots in turn, each with what is computed up to that
-    point.
-    """
+    """The effects of one servo at work: its slots in turn, each with what is computed so far."""
 
     def __init__(self, system: System, effects: Sequence[Extension], theta: SX, v: SX) -> None:
         self._system, self._effects = system, effects
@@ -492,9 +488,7 @@ class Effects:
                 )
 
     def input(self, slot: str, u: SX) -> SX:
-        """Send the input through the maps of a slot, and give the states of these maps their
-        equations.
-        """
+        """Send the input through the maps of a slot, and give their states their equations."""
         for effect, c in self.having(slot):
             here = replace(c, u=u)
             for name, rate in (effect.rates(here) if effect.rates else {}).items():

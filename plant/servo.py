@@ -317,9 +317,7 @@ def servo_program(
 def _joined(
     chosen: Sequence[FrictionLaw], encoder: bool, effects: Sequence[Extension]
 ) -> list[System]:
-    """Return the servos of the laws that the effects can join; raise the last refusal if there is
-    none.
-    """
+    """Return the servos of the laws that the effects can join; raise the last refusal if none."""
     found, refusal = [], None
     for law in chosen:
         try:

@@ -120,9 +120,7 @@ def one_rate(records: list[Record]) -> list[Record]:
 
 
 def overlap(spans: Iterable[tuple[float, float]]) -> bool:
-    """Return whether some of the records overlap, given by the times of their first and last
-    samples.
-    """
+    """Return whether some records overlap, by the times of their first and last samples."""
     return any(later[0] <= earlier[1] for earlier, later in pairwise(sorted(spans)))
 
 
@@ -134,9 +132,7 @@ def one_after_the_other(begin: float, seconds: Sequence[float]) -> list[float]:
 
 
 def must_agree(records: Sequence[Record]) -> None:
-    """Refuse records, made by hand maybe, whose time is not uniform or whose sampling periods
-    differ.
-    """
+    """Refuse records, perhaps made by hand, of uneven time or of different sampling periods."""
     how = "use records_from_arrays, which makes time and rate uniform"
     for record in records:
         off = np.abs(np.diff(record.time) - record.h) > UNIFORM_TOLERANCE * record.h

@@ -288,9 +288,7 @@ def _count_from_first(raw: Raw, origin: float | None) -> float:
 
 
 def _same(one: Array, other: Array) -> bool:
-    """True if two columns differ by no more than the digits with which files of different formats
-    hold them.
-    """
+    """True if two columns differ by no more than the digits of their file formats."""
     return len(one) == len(other) and bool(
         np.max(np.abs(one - other)) <= COPY_TOLERANCE * np.ptp(one)
     )
@@ -340,9 +338,7 @@ def _cut_ends(raw: Raw) -> None:
 
 
 def _bridge(raw: Raw) -> None:
-    """Interpolate over a few samples that are not finite between others; refuse many, or many in a
-    row.
-    """
+    """Interpolate a few samples that are not finite; refuse many, or many in a row."""
     for key, values in zip(COLUMN_NAMES, raw.columns, strict=False):
         bad = ~np.isfinite(values)
         if not bad.any():
@@ -361,9 +357,7 @@ def _bridge(raw: Raw) -> None:
 
 
 def _between(values: Array, good: NDArray[np.bool_], bad: NDArray[np.bool_]) -> Array:
-    """Return what lies between the good samples, in steps of the sensor; over a wrap, the sample
-    before.
-    """
+    """Return what lies between good samples, in sensor steps; over a wrap, the sample before."""
     at, known, where = np.flatnonzero(good), values[good], np.flatnonzero(bad)
     found = np.interp(where, at, known)
     before = np.searchsorted(at, where) - 1

@@ -107,9 +107,7 @@ class Layout:
 
     @property
     def columns(self) -> dict[str, tuple[Column, str]]:
-        """Column and SI unit of time, input, output and, where it was recorded besides the output,
-        velocity.
-        """
+        """Column and SI unit of time, input, output and, if recorded besides, velocity."""
         read = _output_unit("velocity" if self.differences else self.output_kind, self.linear)
         found = {
             "time": (self.time, "s"),
@@ -187,9 +185,7 @@ def _column(table: Column) -> Column:
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
-    """Return whether the output is that of a linear axis, which a torque cannot drive and a force
-    must.
-    """
+    """Return whether the output is a linear axis's, which a force must drive, not a torque."""
     out, fits, why = table.output, [], ""
     for linear in (False, True):
         try:

@@ -97,9 +97,7 @@ def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
 
 
 def _leaves_noise(y: Array) -> bool:
-    """True if a running median of the output leaves the noise: a servo may rest nearly all of the
-    time.
-    """
+    """True if a running median of the output leaves the noise: a servo may nearly always rest."""
     # a coarse reading that hardly changes has a median deviation of 0
     step = float(np.min(np.diff(np.unique(y)), initial=np.inf))
     usual = max(float(stats.median_abs_deviation(y, scale="normal")), step)

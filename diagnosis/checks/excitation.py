@@ -215,9 +215,7 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
 
 
 def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[Finding]:
-    """Return what several records cannot show because their relation in time or position is
-    unknown.
-    """
+    """Return what several records cannot show: their relation in time or place is unknown."""
     caveats = []
     if overlap((float(r.time[0]), float(r.time[-1])) for r in records):
         caveats.append(finding(Reason.OVERLAPPING_TIMES))

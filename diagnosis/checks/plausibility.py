@@ -97,9 +97,7 @@ def check(model: Model, records: Sequence[Record]) -> Plausibility:
 def _unsigned(
     model: Model, records: Sequence[Record], regression: Regression | None
 ) -> Finding | None:
-    """Return what is said where the output looks like a speed without its sign, as a pulse counter
-    gives it.
-    """
+    """Return what is said where the output looks like a speed without its sign."""
     y, u = (np.concatenate([getattr(record, name) for record in records]) for name in ("y", "u"))
     one_sign = min(np.mean(y < 0), np.mean(y > 0)) <= UNSIGNED_SHARE
     if (
@@ -115,9 +113,7 @@ def _unsigned(
 
 
 def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[Finding]:
-    """Give corrections of single records; a factor must distinguish a record from the others,
-    too.
-    """
+    """Give corrections of single records; a factor must tell a record from the others too."""
     regressions = [_regression(model, [r]) for r in records]
     for k, (record, own) in enumerate(zip(records, regressions, strict=True)):
         if own is None:
@@ -233,9 +229,7 @@ def _near(ratio: float) -> bool:
 
 
 def _distance(value: Array, nominal: Array) -> float:
-    """Return how far estimates are from nominal values: sum of the log-ratios, each at most log
-    100.
-    """
+    """Return how far estimates are from nominal: sum of the log-ratios, each at most log 100."""
     ratio = np.clip(np.where(np.isfinite(nominal), value / nominal, 1.0), 0.01, 100.0)
     return float(np.sum(np.abs(np.log(ratio))))
 
@@ -318,9 +312,7 @@ def _reasons(model: Model, cause: str, size: float, viscous: bool) -> tuple[tupl
 
 
 def _outside_bounds(model: Model, regression: Regression) -> Iterator[Finding]:
-    """Give what is said of estimates that lie well outside their bounds, and of the factor that
-    they share.
-    """
+    """Give what is said of estimates well outside their bounds, and of the factor they share."""
     names = ("J", "a2", next((n for n in model.parameters if n.endswith(".Fc")), ""))
     ratios = {}
     for name, value, error, nominal in zip(

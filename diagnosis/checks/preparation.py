@@ -73,9 +73,7 @@ class PreparedCase:
 
 
 def notes_of(records: Sequence[Record], input_share: InputShare | None) -> tuple[Line, ...]:
-    """Return what is said of the records: what their reading noticed, and how the input was
-    held.
-    """
+    """Return what is said of the records: what their reading noticed, how the input was held."""
     first, *others = records
     held = () if input_share is None else (input_share.note,)
     return (*first.findings, *held, *(line for record in others for line in record.findings))
@@ -84,9 +82,7 @@ def notes_of(records: Sequence[Record], input_share: InputShare | None) -> tuple
 def prepared_case(
     model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
 ) -> PreparedCase | Diagnosis:
-    """Return the model fitted to the records, or a diagnosis where both seem to describe different
-    things.
-    """
+    """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
     said, dataset = check(model, records), dataset_of(model, records)
     if said.corrections:
         gap = nominal_gap(dataset, *base_servo_of(model, dataset))
@@ -103,9 +99,7 @@ def implausible(
     said: Plausibility,
     notes: tuple[Line, ...],
 ) -> Diagnosis:
-    """Return a diagnosis where data and model seem to describe different things; `gap` as of
-    `not_searched`.
-    """
+    """Return a diagnosis where data and model seem not to match; `gap` as of `not_searched`."""
     lead = finding(Reason.IMPLAUSIBLE, corrections=said.corrections)
     answer = not_searched(model, records, gap, lead, (*notes, *said.notes))
     return replace(answer, corrections=said.corrections)
@@ -200,9 +194,7 @@ def limits(dataset: Dataset) -> dict[str, tuple[float, float]]:
 
 
 def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
-    """Return the intervals of parameters outside which an effect needs a stronger likelihood
-    gain.
-    """
+    """Return the intervals of parameters outside which an effect needs a stronger gain."""
     m = recorded_motion(dataset)
     return {
         key: ends

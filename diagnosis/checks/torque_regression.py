@@ -32,9 +32,7 @@ LEAST_ROWS = 100  # rows in motion: with fewer there is no regression
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of the regression: torque (n,), core terms (n, 3), free terms (n, k), block of each row
-    (n,).
-    """
+    """Rows of the regression: torque (n,), core terms (n, 3), free terms (n, k), block (n,)."""
 
     torque: Array
     core: Array

@@ -1,6 +1,4 @@
-"""Records cut into short segments, their smoothed motion, and all else that stays the same during a
-search.
-"""
+"""Records cut into short segments, their smoothed motion, and what else a search keeps."""
 
 from __future__ import annotations
 
@@ -212,9 +210,7 @@ def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chain
 
 @dataclass(frozen=True)
 class Motion:
-    """The measured motion over all segments, one sample after the other, arrays (segments * bins *
-    width,).
-    """
+    """The measured motion over all segments, one after the other (segments * bins * width,)."""
 
     theta: Array
     v: Array
@@ -226,9 +222,7 @@ class Motion:
 
 
 def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
-    """Return y or its derivative of an order, from a parabola through the samples within `half`
-    seconds.
-    """
+    """Return y or its derivative of an order, by a parabola through the samples within `half` s."""
     reach = max(2, round(half / h))
     reach = min(reach, (len(y) - 1) // 2)
     kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
@@ -264,9 +258,7 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:
-    """Return the smoothed motion of the records whose measured outputs (n,) are given, cut to their
-    segments.
-    """
+    """Return the smoothed motion of records with these measured outputs (n,), cut to segments."""
     h, parts = segments.h, []
     for i, (piece, y) in enumerate(zip(segments.pieces, outputs, strict=True)):
         n = len(piece.u)

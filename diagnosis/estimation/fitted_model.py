@@ -119,9 +119,7 @@ def fit_from_several_starts(
 
 
 def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
-    """Return start values with less dry friction than a servo has; none if its law has no dry
-    friction.
-    """
+    """Return start values with less dry friction than a servo has; none if the law has none."""
     return {
         f.name: REDUCED_FRICTION * fitted.fit.values[f.name]
         for f in fitted.servo.free
@@ -136,9 +134,7 @@ def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
 
 
 def relative_error(dataset: Dataset, fit: Fit) -> float:
-    """Return the squared error over that of the motion within segments, less a straight line
-    each.
-    """
+    """Return the squared error over that of the motion in segments, less a straight line each."""
     s = dataset.segments
     ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
     moved = (s.measured - (s.measured @ ramp) @ ramp.T)[dataset.train]

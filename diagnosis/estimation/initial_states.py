@@ -65,9 +65,7 @@ def initialise_load(problem: Problem, fit: Fit, steps: int = 0) -> Fit:
 
 
 def refine_initial_states(problem: Problem, fit: Fit, steps: int) -> Fit:
-    """Return a fit after so many steps of the initial states of all segments, each step kept where
-    it helps.
-    """
+    """Return a fit after so many steps of all initial states, each kept where it helps."""
     trust = np.ones(len(fit.initial))
     for _ in range(steps):
         around = stepped_states(

@@ -65,9 +65,7 @@ class InitialStateElimination:
         return np.asarray(np.matmul(self.inverse, gradient[:, :, None])[:, :, 0])
 
     def project(self, columns: Array) -> Array:
-        """Return whitened columns (segments, bins, k) less what other initial states could
-        explain.
-        """
+        """Return whitened columns (segments, bins, k) less what other initial states explain."""
         return np.asarray(
             columns - np.matmul(self.by_initial, np.matmul(self.inverse, self.cross(columns)))
         )
@@ -113,9 +111,7 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Fit(FitPoint):
-    """A point with its likelihood and what a step from it needs; fields of the same name as in
-    `Linearised`.
-    """
+    """A point with its likelihood and what a step from it needs, named as in `Linearised`."""
 
     # (segments,): log-likelihood of each segment [nats], initial states eliminated; 0 for segments
     # that do not count
@@ -215,9 +211,7 @@ class Problem:
 
 
 def evaluate(problem: Problem, point: FitPoint) -> Fit:
-    """Simulate at a point and return its likelihood with derivatives; raise `OutOfTime` after the
-    deadline.
-    """
+    """Simulate at a point: its likelihood with derivatives, or `OutOfTime` after the deadline."""
     check_deadline()
     simulator, values = point.simulator, point.values
     simulated, sens, good, initial = simulator.run(values, point.initial, jacobian=True)
@@ -247,9 +241,7 @@ def evaluate(problem: Problem, point: FitPoint) -> Fit:
 
 
 def rescored(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit under a problem with another noise or other segments, without simulating
-    again.
-    """
+    """Return a fit under a problem with other noise or segments, without simulating again."""
     turn = problem.noise.whiten @ np.linalg.inv(fit.noise.whiten)
     by_parameter, by_initial = (
         np.matmul(turn, fit.by_parameter),
@@ -331,9 +323,7 @@ def initial_state_price(elimination: InitialStateElimination, precision: Array) 
 
 
 def _prior(free: tuple[Free, ...], values: Mapping[str, float]) -> tuple[float, Array]:
-    """Return the log-likelihood of the values by prior knowledge [nats], and its curvature
-    (free,).
-    """
+    """Return the log-likelihood of values by prior knowledge [nats], and its curvature (free,)."""
     known = [
         0.0 if f.nominal is None else (f.scaled(values[f.name]) - f.nominal) / f.prior_sd
         for f in free
@@ -370,9 +360,7 @@ def errors(fit: Fit, mask: Mask) -> list[Array]:
 
 
 def squares(fit: Fit, mask: Mask) -> Array:
-    """Return the mean squared error of each segment (segments,), initial states optimal [output
-    squared].
-    """
+    """Return the mean squared error of each segment, initial states optimal [output squared]."""
     return np.array([np.mean(np.square(error)) for error in errors(fit, mask)])
 
 

@@ -1,6 +1,4 @@
-"""Refit by simulation: parameters and the initial states of all segments, robust against
-outliers.
-"""
+"""Refit by simulation: parameters and all initial states, robust against outliers."""
 
 from __future__ import annotations
 
@@ -136,9 +134,7 @@ def refit(
 def resume(
     problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN
 ) -> Fit:
-    """Maximise the likelihood from a fit, under the noise and with the segments of another
-    problem.
-    """
+    """Maximise the likelihood from a fit, under the noise and the segments of another problem."""
     return maximise(problem, rescored(problem, fit), iterations, stop_gain)
 
 
@@ -188,9 +184,7 @@ def maximise(
 
 
 def refit_initial_states(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit with the initial states of the problem's segments refitted and all parameters as
-    they are.
-    """
+    """Return a fit with the initial states of the problem's segments refitted, parameters kept."""
     return maximise(problem, evaluate(problem, fit.fixed()), INITIAL_STATE_STEPS)
 
 

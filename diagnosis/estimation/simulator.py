@@ -1,6 +1,4 @@
-"""The servo that is fitted, its free parameters, and its simulation over segments with exact
-derivatives.
-"""
+"""The servo that is fitted, its free parameters, and its simulation with exact derivatives."""
 
 from __future__ import annotations
 
@@ -260,9 +258,7 @@ class Simulator:
     def _scale_by_play(
         self, values: Mapping[str, float], initial: Array, sens: Array | None
     ) -> None:
-        """Scale a load's place by half the play, in place, so that it stays in contact when the
-        play changes.
-        """
+        """Scale a load's place by half the play, in place, so that contact stays as it changes."""
         half, place = self._half(values), len(self.names) + 2
         initial[:, 2] /= half
         if sens is not None:
@@ -360,9 +356,7 @@ class Servo:
         )
 
     def adds_no_bristles(self, name: str, values: Mapping[str, float]) -> bool:
-        """True if the bristles of an effect are as stiff as the servo's own, so that it adds
-        nothing.
-        """
+        """True if an effect's bristles are as stiff as the servo's own, so that it adds nothing."""
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
         return values[f"{name}.stiffness"] >= next(
@@ -373,9 +367,7 @@ class Servo:
 def free_parameters(
     name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
 ) -> tuple[Free, ...]:
-    """Return the free parameters of an effect: those with a start value, in their intervals and
-    `limits`.
-    """
+    """Return an effect's free parameters: those with start values, in intervals and `limits`."""
     free, effect = [], find_effect(name)
     for p in effect.parameters:
         short = p.name.removeprefix(f"{name}.")

@@ -177,9 +177,7 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
 
 
 def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bool:
-    """Return whether the strength of an effect, or its free play, is known to within this share of
-    its value.
-    """
+    """Return whether an effect's strength, or its free play, is known to within this share."""
     strength = find_effect(name).decisive.name
     places = [k for k, f in enumerate(fit.free) if f.name == strength]
     if not places:

@@ -185,9 +185,7 @@ def _best(
     inputs: Sequence[Candidate],
     outputs: Sequence[Candidate],
 ) -> tuple[_Reading, list[Finding]]:
-    """Return the likeliest pair by name and, among equal ones, by the share of the torque that it
-    explains.
-    """
+    """Return the likeliest pair by name and, among equal ones, by the share of torque explained."""
     first = [each for each in inputs if each.rank == inputs[0].rank]
     last = [each for each in outputs if each.rank == outputs[0].rank]
     readings = _readings(tables, time, first, last)

@@ -82,9 +82,7 @@ def wave_map(
 
 
 def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[str, ...]] | None:
-    """Return the variable that a view is drawn over, the samples of each line, and the names of the
-    lines.
-    """
+    """Return the variable that a view is drawn over, the samples of each line, and their names."""
     if view == "tone":
         clock = clocks(m)
         numbers = np.unique(clock)

@@ -1,6 +1,4 @@
-"""Where the residual is: the share of it that each view of the motion predicts, with its
-significance.
-"""
+"""Where the residual is: the share that each view of the motion predicts, with its p."""
 
 from __future__ import annotations
 
@@ -290,9 +288,7 @@ def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
 def localise(
     dataset: Dataset, base: FittedModel, final: FittedModel
 ) -> tuple[tuple[ResidualView, ...], list[Share]]:
-    """Return the views before and after, both under the final model's noise, with maps; and the
-    shares after.
-    """
+    """Return the views before and after, under the final noise, with maps, and shares after."""
     after, new, response = _localised(final, dataset)
     before, old = after, new
     if final is not base:

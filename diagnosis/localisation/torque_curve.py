@@ -29,9 +29,7 @@ RANGE_QUANTILES = (0.005, 0.995)  # of the variable in motion: the range that a 
 
 @dataclass(frozen=True)
 class FittedCurve:
-    """A model with the curve that explains most of what it leaves, fitted to the training
-    segments.
-    """
+    """A model with the curve that explains most of its residual, fitted to training segments."""
 
     curve: TorqueCurve
     fitted: FittedModel

@@ -41,9 +41,7 @@ class FinalModel:
 
     @property
     def free_play(self) -> bool:
-        """Whether a load with free play is among the named effects: its segments may diverge by
-        chance.
-        """
+        """Whether a named effect is a load with free play: its segments may diverge by chance."""
         return any(find_effect(name).coupling for name in self.named)
 
     @property
@@ -91,9 +89,7 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
 
 
 def _is_large(share: Share, model: FinalModel, same: bool) -> bool:
-    """Return whether a share is large enough to be reported; `same`: its period is that of a named
-    effect.
-    """
+    """Return whether a share is large enough to report; `same`: its period is a named effect's."""
     if model.named:
         of_gap = share.share * model.error_left >= (
             SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP

@@ -1,6 +1,4 @@
-"""Views of the motion: functions of position, velocity, input and time that may predict a
-residual.
-"""
+"""Views of the motion: functions of position, velocity, input and time, to predict a residual."""
 
 from __future__ import annotations
 
@@ -71,9 +69,7 @@ def is_form(periods: float | None, wave: float) -> bool:
 
 
 def hats(x: Array, knots: int = VIEW_KNOTS) -> Array:
-    """Return piecewise linear functions (n, knots) that add up to one, with knots where the data
-    are.
-    """
+    """Return piecewise linear functions (n, knots) that add up to one, knots where the data are."""
     at = np.unique(np.quantile(x, np.linspace(0.005, 0.995, knots)))
     if len(at) < 2:
         return np.ones((len(x), 1))

@@ -99,9 +99,7 @@ def correction_program(
 
 
 def _system(effects: Sequence[Effect]) -> System:
-    """Return u' = drive(limit(command(u))) + T/b, in the order in which the servo composes the same
-    effects.
-    """
+    """Return u' = drive(limit(command(u))) + T/b, in the servo's order of the same effects."""
     system = System(
         "correction", "input for a plant without " + ", ".join(effect.name for effect in effects)
     )

@@ -1,6 +1,4 @@
-"""What a diagnosis leaves behind: numbers, a report, the augmented model and its FMUs; all of it or
-nothing.
-"""
+"""What a diagnosis leaves behind, all or nothing: numbers, a report, the model and its FMUs."""
 
 from __future__ import annotations
 
@@ -171,9 +169,7 @@ def refitted_model(
 
 
 def _settings(model: Model) -> dict[str, float]:
-    """Return the start values of the servo: those of the model, and an encoder of its
-    resolution.
-    """
+    """Return the start values of the servo: the model's, and an encoder of its resolution."""
     values = model.settings()
     if model.resolution and model.output_kind == "position":
         values[ENCODER_COUNTS.name] = min(
@@ -261,9 +257,7 @@ def _table(designed: DesignedInput) -> str:
 
 
 def _first_record(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return step and inputs of a short run of the FMUs: as in the first record, if it was
-    simulated.
-    """
+    """Return step and inputs of a short run of the FMUs: as in the first simulated record."""
     if diagnosis.whole is None or not diagnosis.whole.traces:
         return {}
     trace = diagnosis.whole.traces[0]
@@ -408,8 +402,6 @@ def write(
 
 
 def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
-    """Raise `BristleError` if writing into `out` would take the place of an input, or of a
-    folder.
-    """
+    """Raise `BristleError` if writing into `out` would replace an input or a folder."""
     check_not_replaced(Path(out), WRITTEN_FILES, map(Path, inputs))
     check_no_folder(Path(out), WRITTEN_FILES)

@@ -41,9 +41,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def mark(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return kind and text of the badge beside it: good only where effects are named and that is
-    enough.
-    """
+    """Return kind and text of the badge beside it: good only where named effects are enough."""
     if diagnosis.proposals:
         return "bad", "data" if as_given(diagnosis) else "bounds"
     return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICT_WORDS[

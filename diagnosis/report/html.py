@@ -1,6 +1,4 @@
-"""report.html of a diagnosis: one self-contained file for the engineer at the rig, the answer
-first.
-"""
+"""report.html of a diagnosis: one self-contained file for the engineer, the answer first."""
 
 from __future__ import annotations
 

@@ -113,9 +113,7 @@ def next_command(proposal: Proposal, out: Path) -> str:
 
 
 def write_model(proposal: Proposal, out: Path, replace_it: bool = False) -> None:
-    """Write the model file, whole or not at all; `BristleError` if it exists and is not to be
-    replaced.
-    """
+    """Write the model file, whole or not at all; `BristleError` if it must not be replaced."""
     if out.suffix.lower() != ".toml":
         raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
     if out.is_dir() or (os.path.lexists(out) and not replace_it):

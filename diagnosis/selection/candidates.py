@@ -98,9 +98,7 @@ class EffectFit:
         return self.fit.total - fit.total if self.fit else -np.inf
 
     def inside_limits(self, limits: Mapping[str, tuple[float, float]]) -> bool:
-        """False where a parameter ends at a limit of the records: it then stands in for another
-        effect.
-        """
+        """False where a parameter ends at a limit of the records: it is a stand-in then."""
         assert self.fit is not None
         free = {f.name for f in self.fit.free} & set(limits)
         ends = [
@@ -191,9 +189,7 @@ def _most_promising(context: SearchContext, tried: Sequence[EffectFit], null: Nu
 
 
 def _null(context: SearchContext, tried: Sequence[EffectFit]) -> Null:
-    """Return the null of the largest gain; what the best candidate explains does not count as
-    noise.
-    """
+    """Return the null of the largest gain; what the best candidate explains is not noise."""
     fitted = [c for c in tried if c.fit is not None]
     best = max(fitted, key=lambda c: c.penalised_likelihood)
     assert best.fit is not None
@@ -206,9 +202,7 @@ def _null(context: SearchContext, tried: Sequence[EffectFit]) -> Null:
 
 # -- start values ----------------------------------------------------------------------------------
 def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> EffectFit:
-    """Return an effect at the start value with the largest predicted likelihood, and the next best
-    ones.
-    """
+    """Return an effect at the start value with the largest predicted gain, and the next best."""
     fit = context.fit
     trials, explained = [], []
     for times in context.clocks(name):
@@ -349,9 +343,7 @@ def _advanced(context: SearchContext, fit: Fit, steps: int, repeats: int) -> Tri
 
 
 def refit_to_end(context: SearchContext, candidate: EffectFit) -> EffectFit:
-    """Refit a candidate; an effect that switches under the noise of its own residual, which matters
-    then.
-    """
+    """Refit a candidate; an effect that switches under the noise of its own residual."""
     if candidate.fit is None:
         return candidate
     fit = refit_rescored(candidate.fit, context.screening_noise, FIT_ITERATIONS)

@@ -143,9 +143,7 @@ def _inside_limits(context: SearchContext, candidates: Sequence[EffectFit]) -> l
 def _refitted_contenders(
     context: SearchContext, candidates: Sequence[EffectFit]
 ) -> tuple[Problem, list[EffectFit]]:
-    """Return those that come near the best one, refitted under its noise until the best one stays
-    the best.
-    """
+    """Return those near the best one, refitted under its noise until it stays the best."""
     plain, least = context.fit, CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
     near = [c for c in candidates if c.gain_over(plain) > least]
     contenders = context.options.map(
@@ -209,9 +207,7 @@ class ReferenceModel:
         )
 
     def assess(self, fit: Fit, level: float) -> Assessment:
-        """Return what a model with the effect is worth; `level` is the gain that chance reaches
-        [nats].
-        """
+        """Return what a model with the effect is worth, at the `level` of chance [nats]."""
         gains = predictive_density(self.held_out, fit) - self.density
         falls = fall(self.squares, squares(fit, self.train), np.abs(gains[self.train]))
         return Assessment(level, falls, float(gains.sum()), net_share(gains))

@@ -17,9 +17,7 @@ LARGEST_LIMIT = 1e5
 
 
 def detection_limits(candidates: Sequence[EffectFit], null: Null, base: float) -> list[Undetected]:
-    """Return what a search says of each candidate; `base` is the log-likelihood without any of them
-    [nats].
-    """
+    """Return what a search says of each candidate; `base` is the log-likelihood without any."""
     return [_undetected(candidate, null, base) for candidate in candidates]
 
 

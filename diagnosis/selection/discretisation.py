@@ -1,6 +1,4 @@
-"""Whether a gain is numerical: both models are compared again with finer steps of the
-simulation.
-"""
+"""Whether a gain is numerical: both models compared again with finer steps of simulation."""
 
 from __future__ import annotations
 

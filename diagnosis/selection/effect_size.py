@@ -98,8 +98,6 @@ def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) 
 
 
 def _precision(free: Free) -> float:
-    """Return the inverse variance of a parameter that is anywhere in its interval, on the scale of
-    its steps.
-    """
+    """Return the inverse variance of a parameter spread over its interval, on its steps' scale."""
     length = free.scaled(free.high) - free.scaled(free.low)
     return 1.0 / (EVEN_VARIANCE * length**2)

@@ -35,9 +35,7 @@ class Null:
     false_alarm_rate: float = FALSE_ALARM_RATE
 
     def after_refits(self) -> Null:
-        """Return the distribution of what refits of the candidates gain, from that of their
-        scores.
-        """
+        """Return the distribution of what refits of candidates gain, from that of their scores."""
         return replace(self, draws=REFIT_FACTOR * self.draws)
 
     def level(self, name: str) -> float:
@@ -47,9 +45,7 @@ class Null:
         )
 
     def p(self, name: str, gain: float) -> float:
-        """Return the p of a candidate's gain over all candidates; never below 1/(replicates +
-        1).
-        """
+        """Return the p of a candidate's gain over all candidates; at least 1/(replicates + 1)."""
         return chance(self.draws, gain - self.typical.get(name, 0.0))
 
 

@@ -168,15 +168,11 @@ class SearchContext:
         )
 
     def evidence_at(self, times: tuple[float, ...]) -> Evidence:
-        """Return what effects derive their start values from, with these times of the first
-        samples.
-        """
+        """Return what effects derive start values from, with these times of the first samples."""
         return replace(self.evidence, time=self.dataset.time_at(times))
 
     def start_values(self, name: str, evidence: Evidence) -> list[Start]:
-        """Return start values of an effect: those of the options, and those that it derives from
-        evidence.
-        """
+        """Return start values of an effect: the options' and those derived from evidence."""
         derive = find_effect(name).starts
         assert derive is not None
         return [*self.options.start_values.get(name, ()), *derive(evidence)]
@@ -214,9 +210,7 @@ def evidence_of(dataset: Dataset, fit: Fit, response: ResidualResponse) -> Evide
 
 
 def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
-    """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it
-    has none.
-    """
+    """Return a model's dry friction [N.m], or `NO_FRICTION_SHARE` of the mean torque."""
     friction = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
     return friction or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
 
@@ -334,9 +328,7 @@ def _balance_fits(
 def _balance_evidence(
     context: SearchContext, model: BalancedModel, balance: Balance, balanced: Balanced
 ) -> Evidence:
-    """Return what effects derive their start values from, given the residual of the inverse
-    dynamics.
-    """
+    """Return what effects derive start values from, by the residual of the inverse dynamics."""
     m, values = balance.motion, balanced.values
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(

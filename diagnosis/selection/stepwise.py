@@ -1,6 +1,4 @@
-"""The stepwise search: effects are added one after the other, and removed where no longer
-needed.
-"""
+"""The stepwise search: effects are added one by one, and removed where no longer needed."""
 
 from __future__ import annotations
 

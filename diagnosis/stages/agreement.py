@@ -74,9 +74,7 @@ def agreement_of(case: SearchedCase) -> RecordAgreement | None:
 def _own_values(
     names: Sequence[str], fits: Mapping[str, Fit], known: Mask
 ) -> dict[str, dict[str, float | None]]:
-    """Return each parameter's value in each part of the data; None where that says nothing of
-    it.
-    """
+    """Return each parameter's value in each part of the data; None where nothing is said of it."""
     return {
         name: {
             part: float(fit.values[name]) if seen else None

@@ -72,9 +72,7 @@ class ErrorsBeforeAndAfter:
         return cls(*localise(case.dataset, case.base, final), gap_between(case, final), error_fall)
 
     def left(self, case: PreparedCase, final: FittedModel, named: Sequence[str]) -> Unexplained:
-        """Return whether a part of the residual is unexplained beside the effects that were
-        named.
-        """
+        """Return whether a part of the residual is unexplained beside the named effects."""
         model = FinalModel(
             named,
             final.fit.values,
@@ -87,9 +85,7 @@ class ErrorsBeforeAndAfter:
         return unexplained(self.shares, model)
 
     def closes_in_part(self, case: PreparedCase, final: FittedModel) -> bool:
-        """True if some view predicts a part of the residual, in uniform motion that does not show
-        its form.
-        """
+        """True if a view predicts some of the residual in uniform motion, which hides its form."""
         model = FinalModel((), final.fit.values, case.dataset.turn, self.gap.left, self.error_fall)
         return unexplained(self.shares, model).flag
 
@@ -173,9 +169,7 @@ def may_be_nothing(answer: Diagnosis) -> bool:
 
 
 def without_effects(case: PreparedCase, outcome: SearchOutcome, answer: Diagnosis) -> SearchOutcome:
-    """Return an outcome in which the effects of an answer stand in for something else that is
-    missing.
-    """
+    """Return an outcome whose effects stand in for something else that is missing."""
     names = tuple(e.name for e in answer.effects)
     first = outcome.rounds[0].limited(finding(Reason.STANDS_IN, effects=names))
     return replace(outcome, final=case.base, rounds=(first,))
@@ -249,9 +243,7 @@ def is_unaligned(case: PreparedCase) -> bool:
 
 
 def _limits(case: SearchedCase, answer: Diagnosis) -> tuple[Undetected, ...]:
-    """Return for each effect that is neither named nor tied how large it may be without being
-    detected.
-    """
+    """Return how large each effect that is neither named nor tied may be without being detected."""
     last = case.rounds[-1]
     tied = (name for tie in answer.ties for name in tie)
     known = {*(e.name for e in answer.effects), *last.said.undecided, *tied}

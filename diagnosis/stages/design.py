@@ -1,6 +1,4 @@
-"""Choose the input of a further record that tells apart the effects that these records do not
-distinguish.
-"""
+"""Choose the input of a further record to tell apart effects that these records do not."""
 
 from __future__ import annotations
 
@@ -43,9 +41,7 @@ class _Design:
 
     @property
     def pairs(self) -> list[tuple[Rival, Rival]]:
-        """Pairs that are to be told apart, both ways: those of different classes, if there are
-        several.
-        """
+        """Pairs to be told apart, both ways: those of different classes, if there are several."""
         pairs = list(permutations(self.rivals, 2))
         apart = [(a, b) for a, b in pairs if _class_of(a) != _class_of(b)]
         return apart or pairs
@@ -83,9 +79,7 @@ class _Design:
         return at if y is None else float(setup.positions(y)[-1])
 
     def tried(self, given: Input) -> _Trial | None:
-        """Return the first scale of an input that keeps to the limits, with its gain; None if no
-        scale does.
-        """
+        """Return the first scale of an input that keeps to the limits, and its gain, or None."""
         for u in given.scaled:
             outputs = self.outputs(u)
             if outputs is not None:

@@ -109,9 +109,7 @@ def lead(truth: Array, u: Array, rival: Rival, setup: Setup) -> float:
 
 
 def disturbed(u: Array, noise: Noise, gain: float, h: float, rng: np.random.Generator) -> Array:
-    """Return an input (n,) with the disturbance torque of a fit on top, torque over input being
-    `gain`.
-    """
+    """Return an input (n,) with a fit's disturbance torque on top, `gain` in torque over input."""
     keep = np.exp(-2 * np.pi * noise.corner * h)
     white = noise.torque * np.sqrt(1 - keep**2) * rng.standard_normal(len(u))
     return np.asarray(u + lfilter([1.0], [1.0, -keep], white) / gain)

@@ -110,9 +110,7 @@ def move(distance: float, speed: float, acceleration: float, h: float) -> Array:
 
 
 def sweep(plan: Plan) -> Array:
-    """Return a sine whose frequency rises, its acceleration about even where the reach allows
-    it.
-    """
+    """Return a sine of rising frequency, its acceleration about even where the reach allows it."""
     t = plan.h * np.arange(round(SWEEP_SECONDS / plan.h))
     rate = math.log(max(2.0, min(BAND[1], 0.1 / plan.h) / BAND[0])) / t[-1]
     omega = 2 * math.pi * BAND[0] * np.exp(rate * t)

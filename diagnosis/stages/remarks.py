@@ -25,9 +25,7 @@ def remarks(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
 
 
 def _position_notes(case: SearchedCase, answer: Diagnosis) -> list[Finding]:
-    """Return a note where an answer depends on the positions at which several records of velocities
-    begin.
-    """
+    """Return a note where an answer depends on where several records of velocities begin."""
     names = (*(e.name for e in answer.effects), *answer.rounds[-1].undecided)
     depends = answer.remains.flag or any(find_effect(name).position_dependent for name in names)
     return [finding(Reason.UNKNOWN_POSITIONS)] if is_unaligned(case) and depends else []

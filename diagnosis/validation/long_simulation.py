@@ -47,9 +47,7 @@ GENERALISES = 1.2
 
 @dataclass(frozen=True)
 class Records:
-    """Records of one sampling period, and what the sensor's noise is at least [unit of the
-    output].
-    """
+    """Records of one sampling period, and the least noise of the sensor [unit of the output]."""
 
     all: tuple[Record, ...]
     velocity: bool
@@ -173,9 +171,7 @@ def open_loop_problem(segments: Segments, error: float) -> Problem:
 
 
 def fitted_error(fit: Fit) -> float:
-    """Return the rms error over all stretches [unit of the output]; infinite if the simulation of
-    one failed.
-    """
+    """Return the rms error over all stretches [unit of the output]; infinite if one failed."""
     known = np.isfinite(fit.simulator.segments.measured)
     return rms(fit.residual[known]) if fit.good.all() else math.inf
 
@@ -227,9 +223,7 @@ def open_loop(
 
 
 def split(records: Records, simulated: Array) -> OpenLoop:
-    """Return outputs of stretches (stretches, samples) as those of the records that they were cut
-    from.
-    """
+    """Return outputs of stretches (stretches, samples) as those of the records they are from."""
     length = simulated.shape[1]
     parts = np.split(
         simulated, np.cumsum([max(1, round(len(r) / length)) for r in records.all])[:-1]
@@ -268,9 +262,7 @@ def stays(fit: Fit) -> bool:
 
 @dataclass(frozen=True)
 class Grown:
-    """A fit to the longest horizon that the simulation stayed with; None where there is no such
-    horizon.
-    """
+    """A fit to the longest horizon that the simulation stayed with; None if there is none."""
 
     seconds: float  # the horizon; 0 where there is none
     whole: bool  # whether that is the longest record

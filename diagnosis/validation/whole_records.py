@@ -84,9 +84,7 @@ def refitted_to_whole_records(case: SearchedCase, answer: Diagnosis, _: Budget) 
 
 
 def as_fitted_to_segments(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
-    """Return an answer with the errors over whole records, its parameters as the segments gave
-    them.
-    """
+    """Return an answer with the errors over whole records, parameters as the segments gave them."""
     return _over_whole_records(case, answer, refit=False)
 
 

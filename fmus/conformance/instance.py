@@ -479,9 +479,7 @@ class Instance:
         return self.access("Set", self.subject.reference(name), kind, values)
 
     def many(self, verb: str, names: Sequence[str], values: Any) -> int:
-        """Call the getter or setter of real numbers for several variables at once and return its
-        status.
-        """
+        """Call the getter or setter of real numbers for several variables; return its status."""
         word = "Real" if self.fmi == 2 else "Float64"
         count = (len(values),) if self.fmi == 3 else ()
         return self.call(f"{verb}{word}", self.references(names), len(names), values, *count)
@@ -554,9 +552,7 @@ class Instance:
     def directional(
         self, unknowns: Sequence[str], knowns: Sequence[str], seed: Sequence[float]
     ) -> list[float]:
-        """Return the directional derivative of some variables; `seed` has a number for each known
-        one.
-        """
+        """Return the directional derivative of some variables; `seed` has one number per known."""
         return self._derivative("GetDirectionalDerivative", unknowns, knowns, seed, len(unknowns))
 
     def adjoint(

@@ -1,6 +1,4 @@
-"""Points of instances: their lives, several at once, what they leave behind, and where they are
-unpacked.
-"""
+"""Points of instances: lives, several at once, what they leave behind, where they are unpacked."""
 
 from __future__ import annotations
 

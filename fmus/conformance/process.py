@@ -63,9 +63,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Task:
-    """A point of behaviour to judge for an FMU, with what is added to the environment of its
-    process.
-    """
+    """A point of behaviour to judge for an FMU, with additions to its process's environment."""
 
     path: Path
     point: str

@@ -71,9 +71,7 @@ def to_tree(path: Path, results: Sequence[PointResult]) -> dict[str, Any]:
 
 
 def junit(path: Path, results: Sequence[PointResult]) -> bytes:
-    """Return the results as JUnit: a test case a point; what is not applicable or not tested is
-    skipped.
-    """
+    """Return the results as JUnit: a case a point; not applicable or not tested is skipped."""
     failed = [r for r in results if r.verdict is Verdict.failed]
     skipped = [r for r in results if r.verdict in (Verdict.not_tested, Verdict.not_applicable)]
     counts = {

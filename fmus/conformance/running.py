@@ -110,9 +110,7 @@ def default_step(subject: Subject) -> float:
 
 
 def times(subject: Subject) -> tuple[float, float | None]:
-    """Return start and stop [s] of the default experiment; None where it states no stop after the
-    start.
-    """
+    """Return start and stop [s] of the default experiment; None where it states no later stop."""
     given = subject.description.defaultExperiment
     start = float(getattr(given, "startTime", None) or 0.0)
     stop = getattr(given, "stopTime", None)

@@ -250,9 +250,7 @@ def _sizes(subject: Subject) -> Iterator[str]:
 
 
 def undeclared(instance: Instance, unknowns: Sequence[Any], knowns: Sequence[str]) -> Iterator[str]:
-    """Give the unknowns that change when a known value is moved that they are not declared to
-    depend on.
-    """
+    """Give the unknowns that change with a known value on which they are not declared to depend."""
     subject = instance.subject
     watched = [
         u for u in unknowns if u.dependencies is not None and subject.is_accessible(u.variable.name)

@@ -9,7 +9,5 @@ from bristle.plant.servo import servo_program
 
 
 def program(law: str | None = None, effects: Sequence[str] = (), encoder: bool = True) -> Program:
-    """Return ServoPlant; of a smooth law alone and without the encoder, Model Exchange can be
-    offered.
-    """
+    """Return ServoPlant; of a smooth law without the encoder it can offer Model Exchange."""
     return servo_program(law, encoder=encoder, effects=effects)

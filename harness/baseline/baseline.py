@@ -168,9 +168,7 @@ def _stored(spread: Spread) -> Signals:
 
 
 def quantities_of(result: Mapping[str, Any]) -> dict[str, Judged]:
-    """Return the numbers of result.json that are judged: of each estimate, and what the servo
-    did.
-    """
+    """Return the judged numbers of result.json: of each estimate, and what the servo did."""
     quantities = {}
     for name, estimate in result["estimates"].items():
         for key in JUDGED_ESTIMATE:
@@ -215,9 +213,7 @@ def _number(value: object) -> float | None:
 def measured_quantities(
     result: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
 ) -> dict[str, Judged]:
-    """Return the judged numbers of a result with tolerances that other results of the same scenario
-    measure.
-    """
+    """Return the judged numbers of a result, with tolerances from other results of the scenario."""
     quantities = {}
     for path, each in quantities_of(result).items():
         known = [value for other in others if (value := _number(_value(other, path))) is not None]
@@ -357,9 +353,7 @@ def read_baseline(folder: Path) -> Baseline:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON file that holds an object; raise `BristleError` if it is
-    none.
-    """
+    """Return the content of a JSON file with an object; raise `BristleError` if it has none."""
     check_regular(path)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))

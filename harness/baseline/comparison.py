@@ -174,9 +174,7 @@ def compare_folders(first: Path, second: Path) -> RunComparison:
 
 
 def compare_sides(a: Baseline, b: Baseline) -> RunComparison:
-    """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both
-    have.
-    """
+    """Judge the run of `b` against that of `a`, with tolerances of `a`, at the times of both."""
     result_a, result_b = a.result, b.result
     notes, refused = _origins(result_a, result_b), _refused(result_a, result_b)
     comparison = RunComparison(
@@ -250,9 +248,7 @@ def _made(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _refused(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return why two results cannot be compared sample by sample: another rate, or another
-    duration.
-    """
+    """Return why two results cannot be compared by samples: another rate or duration."""
     steps, others = (float(each["step_s"]) for each in (a, b))
     if abs(steps - others) > 1e-9 * steps:
         return (f"the communication step is {steps:g} s in A and {others:g} s in B",)

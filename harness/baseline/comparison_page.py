@@ -1,6 +1,4 @@
-"""compare.html: verdict, what differs, each signal in its tube with its worst point, and the
-numbers.
-"""
+"""compare.html: verdict, what differs, each signal in its tube with its worst point, numbers."""
 
 from __future__ import annotations
 
@@ -166,9 +164,7 @@ def _plot(ax: Any, course: SignalCourse, rows: NDArray[np.intp]) -> None:
 
 
 def _bound(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a bound as it is drawn: that of a signal that must be 0 would set the scale of the
-    axis.
-    """
+    """Return a bound as drawn: that of a signal that must be 0 would set the scale of the axis."""
     return np.where(
         np.isfinite(values), np.where(np.abs(values) < EXACT_MARGIN, 0.0, values), np.nan
     )

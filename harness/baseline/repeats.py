@@ -124,9 +124,7 @@ def _moved(setup: RunSetup, unit: str, random: np.random.Generator) -> dict[str,
 
 
 def _is_moved(setup: RunSetup, unit: str, name: str) -> bool:
-    """Say whether a parameter is a number that the chosen law, its effects or the chosen method
-    read.
-    """
+    """Say whether a parameter is a number that the chosen law, effects or method read."""
     fmu, whole = setup.fmus[unit], PORTS[unit].whole
     if (
         not fmu.is_real(name)

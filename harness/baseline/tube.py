@@ -55,9 +55,7 @@ class Spread:
         self._widths: dict[str, float] = {}
 
     def add(self, signals: Mapping[str, Array]) -> None:
-        """Take another run into account; where it has no number, nothing can be said of what is
-        allowed.
-        """
+        """Take another run into account; where it has no number, nothing is said of the bounds."""
         for name, expected in self.reference.items():
             got = signals.get(name)
             if got is None or len(got) != len(expected):

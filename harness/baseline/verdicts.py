@@ -41,9 +41,7 @@ class SignalVerdict:
 
 @dataclass(frozen=True)
 class QuantityVerdict:
-    """A number of both results, how far they may be apart, and whether they are; None if that is
-    not judged.
-    """
+    """A number of both results, how far apart it may be, and whether it is; None if not judged."""
 
     path: str
     unit: str
@@ -163,8 +161,6 @@ def quantity_text(each: QuantityVerdict) -> str:
 
 
 def counts(signals: Sequence[SignalVerdict]) -> tuple[int, int]:
-    """Return how many signals are inside their tubes, of how many that were judged or are
-    missing.
-    """
+    """Return how many signals are in their tubes, of how many that were judged or are missing."""
     judged = [each for each in signals if not (each.passed and each.why)]
     return sum(each.passed for each in judged), len(judged)

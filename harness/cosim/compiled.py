@@ -272,8 +272,6 @@ class Compiled:
         return bool(self._diverged[lane])
 
     def flags(self, lane: int) -> tuple[NDArray[np.int64], Array]:
-        """Return what was read of the flags of a lane: rows (readings,) and values (readings,
-        flags).
-        """
+        """Return the flags read of a lane: rows (readings,) and values (readings, flags)."""
         n = self.master.n_looks
         return self._look_rows[:n], self._looks[:n, lane * self._width : (lane + 1) * self._width]

@@ -1,6 +1,4 @@
-"""Co-simulation in a process of its own, for FMUs from elsewhere: if one crashes, only that process
-ends.
-"""
+"""Co-simulation in its own process, for FMUs from elsewhere: a crash ends only that process."""
 
 from __future__ import annotations
 

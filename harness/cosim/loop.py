@@ -174,9 +174,7 @@ class Session:
         array[index] = value / self._worth(port)
 
     def _row_fmpy(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
-        """Do the communication steps of one row, and take the means over them; return why one
-        failed.
-        """
+        """Do the communication steps of one row, and take their means; return why one failed."""
         parts = self.bus.split
         for part in range(parts):
             failure = self._step_fmpy(k * parts + part, places)

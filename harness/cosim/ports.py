@@ -40,9 +40,7 @@ class Ports:
         return {**self.inputs, **self.outputs}
 
     def allowed_units(self, variable: str) -> list[str]:
-        """Return the units that a variable may have, the SI unit first; none of one that is not
-        known.
-        """
+        """Return the units that a variable may have, the SI unit first; none if it is unknown."""
         unit = self.units.get(variable)
         return [] if unit is None else [unit, *self.rig_units.get(unit, ())]
 

@@ -233,9 +233,7 @@ def _scheme(name: str, verdict: str, trace: BusTrace, best: BusTrace, rows: int)
 
 
 def _estimates(trace: BusTrace, rows: int) -> dict[str, float]:
-    """Return the estimates of parameters at the end; those that the method does not give are 0, and
-    left out.
-    """
+    """Return the estimates at the end; those that the method does not give are 0, and left out."""
     hats = {
         name.removesuffix("_hat"): float(trace[unit, name][rows - 1])
         for unit, name in trace.record

@@ -384,9 +384,7 @@ def _driven(fmu: Fmu, name: str, time: Array, values: Array, at: Array, step: fl
 
 
 def _times(fmu: Fmu, experiment: FmuExperiment) -> tuple[float, float, int]:
-    """Return start, step and number of steps: what the experiment says, else the FMU, else its
-    reference.
-    """
+    """Return start, step and number of steps: the experiment's, the FMU's or the reference's."""
     usual, reference = fmu.description.defaultExperiment, experiment.reference
     said = {name: getattr(usual, name, None) for name in ("startTime", "stopTime", "stepSize")}
     start, stop, step = (

@@ -145,9 +145,7 @@ def _refuse_other(out: Path, name: str) -> None:
 
 
 def _own_fmu(setup: RunSetup, name: str, folder: Path, platforms: str) -> Path:
-    """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere
-    as it is.
-    """
+    """Return the FMU of a unit with the scenario's start values; one from elsewhere as it is."""
     from bristle.fmus.build import build, nothing
 
     fmu, target = setup.fmus[name], folder / f"{name}.fmu"
@@ -176,9 +174,7 @@ def _own_fmu(setup: RunSetup, name: str, folder: Path, platforms: str) -> Path:
 def _with_experiments(
     file: Path, name: str, bus: Bus, setup: RunSetup, reference: Outcome
 ) -> bytes:
-    """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as
-    it is.
-    """
+    """Return an FMU of ours with its part of the run inside; one from elsewhere as it is."""
     if name in setup.fmus and setup.fmus[name].foreign:
         return file.read_bytes()
     archive = Archive(file)
@@ -222,9 +218,7 @@ def _part_of_run(name: str, bus: Bus, setup: RunSetup, trace: BusTrace) -> Exper
 
 
 def _tabulated(setup: RunSetup) -> bool:
-    """True if an input is noise, which only a table gives; many tools take no table for a
-    component.
-    """
+    """True if an input is noise, which only a table gives; few tools take one for a component."""
     return any(each.noise is not None for each in setup.stimuli)
 
 

@@ -38,9 +38,7 @@ from bristle.harness.run import results
 
 @dataclass(frozen=True)
 class ReplayedPackage:
-    """A replayed package: its signals against the reference, if it has one, and where the results
-    are.
-    """
+    """A replayed package: its signals against the reference, if any, and where the results are."""
 
     folder: Path
     agreement: tuple[SignalAgreement, ...]

@@ -104,9 +104,7 @@ def verdict_of(failure: object, compared: bool, signals: Sequence[SignalAgreemen
 
 
 def number_of_steps(start: float, stop: float, step: float) -> int:
-    """Return how many steps of a length [s] there are from start to stop, or raise
-    `BristleError`.
-    """
+    """Return how many steps of a length [s] are from start to stop; `BristleError` if none."""
     steps = round((stop - start) / step) if step > 0 else 0
     if not 1 <= steps <= LONGEST_REPLAY:
         raise BristleError(

@@ -43,9 +43,7 @@ class Component:
 
 @dataclass(frozen=True)
 class SystemStructure:
-    """What is co-simulated: components, connections from output to input, times in s (None: not
-    said).
-    """
+    """What is co-simulated: components, connections of outputs to inputs, times in s or None."""
 
     name: str
     components: tuple[Component, ...]
@@ -57,9 +55,7 @@ class SystemStructure:
 
 # -- writing ---------------------------------------------------------------------------------------
 def package_files(system: SystemStructure) -> dict[str, bytes]:
-    """Return SystemStructure.ssd and the parameter sets of the components, by their names in the
-    package.
-    """
+    """Return SystemStructure.ssd and the components' parameter sets, by names in the package."""
     for prefix, space in (("ssd", SSD), ("ssc", SSC), ("oms", OMS)):
         ET.register_namespace(prefix, space)
     sets = {

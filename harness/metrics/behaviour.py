@@ -1,6 +1,4 @@
-"""What a servo did, in numbers that no single sample shows: sticking, break-away, limit cycle,
-energy.
-"""
+"""What a servo did, in numbers that no sample shows: sticking, break-away, cycle, energy."""
 
 from __future__ import annotations
 
@@ -101,9 +99,7 @@ def _sticking(motion: PlantMotion) -> dict[str, Quantity]:
 
 
 def _cycle(motion: PlantMotion) -> dict[str, Quantity]:
-    """Return amplitude (half of peak to peak, of the velocity) and period over the second half of
-    the run.
-    """
+    """Return amplitude (half of peak to peak velocity) and period, over the run's second half."""
     late = slice(len(motion.signals["v"]) // 2, None)
     demands = [*MOVING_INPUTS, *(["u"] if motion.open_loop else [])]
     moving = [

@@ -165,9 +165,7 @@ def look_up(result: Mapping[str, Any], path: str) -> object:
 
 
 def check_unit(result: Mapping[str, Any], path: str) -> str:
-    """Return the SI unit of a number of result.json; "1" if it has none, or if there is no such
-    number.
-    """
+    """Return the SI unit of a number of result.json; "1" if it has none, or does not exist."""
     unit = next(
         (
             unit

@@ -1,6 +1,4 @@
-"""Errors of the estimates against the true values, and checks of result.json; a check of NaN
-fails.
-"""
+"""Errors of estimates against the true values, and checks of result.json; NaN fails one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Output-error fits of the lean plant FMUs to a record (u, y): the baselines and the best-fit
-floor.
-"""
+"""Output-error fits of lean plant FMUs to a record (u, y): baselines and the best-fit floor."""
 
 from __future__ import annotations
 
@@ -208,9 +206,7 @@ class _Converged(Exception):
 
 
 class _Problem:
-    """Least squares in scaled parameters: logarithms, but plain values for those that may well be
-    zero.
-    """
+    """Least squares in scaled parameters: logarithms, or plain values where zero is likely."""
 
     def __init__(self, model: LeanModel, data: Data, start: Mapping[str, float]) -> None:
         self.model, self.data = model, data
@@ -244,9 +240,7 @@ class _Problem:
         return np.asarray(self.unit * np.where(self.plain, x, np.exp(np.where(self.plain, 0.0, x))))
 
     def residuals(self, points: Array) -> Array:
-        """Return the errors at several points; a simulation that failed gets a large error
-        everywhere.
-        """
+        """Return the errors at several points; a failed simulation has a large error everywhere."""
         error = (self.model.predict(self.data, self.values(points)) - self.data.y) / self.scale
         return np.where(np.isfinite(error), error, 1e3 / math.sqrt(len(self.data.y)))
 
@@ -299,9 +293,7 @@ class _Problem:
 def fit(
     model: LeanModel, data: Data, candidates: Sequence[Mapping[str, float]] | None = None
 ) -> LeanFit:
-    """Fit a lean model: all start values on the first part of the record, the best of them on the
-    whole.
-    """
+    """Fit a lean model: all start values on the record's first part, the best on the whole."""
     before = model.runs
     points = [
         dict(start) for start in (candidates if candidates is not None else starts(model.law, data))

@@ -14,9 +14,7 @@ TRACKING_SHARE = 0.25  # share of the run, at its end, over which the tracking e
 
 @dataclass(frozen=True)
 class Tracking:
-    """Tracking errors [rad/s] of the same reference at the end of two runs; each array has shape
-    (samples,).
-    """
+    """Tracking errors [rad/s] of one reference at the end of two runs, arrays (samples,)."""
 
     time: Array
     reference: Array

@@ -149,9 +149,7 @@ def given_parameters(setup: RunSetup, final: Mapping[str, Value]) -> dict[str, f
 
 
 def identification_data(setup: RunSetup, u: Array, theta: Array, v: Array) -> Data:
-    """Return the identification record as the observer read it: velocity, or position through its
-    increments.
-    """
+    """Return the identification record as the observer read it: velocity, or increments."""
     increments = (
         setup.samples.measured == ("theta",)
         if setup.samples

@@ -158,9 +158,7 @@ PRINTED = {each.key: each for each in _NUMBERS}
 
 @dataclass(frozen=True)
 class PrintedFigure:
-    """A figure of the paper: what it shows, what of it is known here and how, and what its text
-    leaves open.
-    """
+    """A figure of the paper: what it shows, what is known of it and how, what is left open."""
 
     number: int
     title: str

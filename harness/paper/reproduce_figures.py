@@ -1,6 +1,4 @@
-"""The figures of `reproduce` as SVG text: each with the axes of the paper's, the schemes side by
-side.
-"""
+"""The figures of `reproduce` as SVG: each with the axes of the paper's, schemes side by side."""
 
 from __future__ import annotations
 
@@ -78,9 +76,7 @@ def _case(
 
 
 def _eq25(comparison: PaperComparison) -> Any:
-    """Draw eq. (25) of all models, a row for each record, with the interval that the paper
-    prints.
-    """
+    """Draw eq. (25) of all models, a row for each record, with the interval the paper prints."""
     rows = comparison.content["eq25"]
     figure = new_figure(11.0, 0.52 * len(rows) + 1.35)
     [ax] = [figure.subplots()]

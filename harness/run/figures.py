@@ -157,9 +157,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
 
 
 def _course(ax: Any, time: Array, course: Course) -> None:
-    """Draw an estimate with its band: in colour where it is valid, grey and dashed where it is
-    not.
-    """
+    """Draw an estimate with its band: in colour where valid, grey and dashed where it is not."""
     valid = course.valid.astype(bool)
     spread = None if course.sd is None or not course.sd.any() else SPREAD * course.sd
     for chosen, colour, style, label in (

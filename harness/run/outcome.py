@@ -84,9 +84,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
 
 
 def measured(setup: RunSetup, trace: BusTrace, view: RunView) -> dict[str, Any]:
-    """Return result.json of a run without what needs a second run, verdict, provenance and
-    timing.
-    """
+    """Return result.json of a run without what needs another, verdict, provenance and timing."""
     return _measure(setup, trace, view) | {
         "behaviour": {name: each.as_dict() for name, each in _behaviour(setup, view).items()}
     }
@@ -239,9 +237,7 @@ def command_of(path: Path, options: RunOptions, out: Path | None = None) -> str:
 
 
 def _judge(result: dict[str, Any], setup: RunSetup) -> list[str]:
-    """Set checks and verdict; of a record without checks, return and note why the verdict is
-    fail.
-    """
+    """Set checks and verdict; of a record without checks, also note why the verdict is fail."""
     checks = setup.scenario.checks
     result["checks"] = judge(result, checks or validity_checks(result, _innovation_limit(setup)))
     result["verdict"] = _verdict(result)

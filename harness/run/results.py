@@ -25,9 +25,7 @@ THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
 
 
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
-    """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless
-    `full`.
-    """
+    """Return signals.csv: time, then numbers (nan where there is none), thinned unless `full`."""
     rows = len(next(iter(columns.values())))
     kept = np.arange(rows) if full else thinned(rows)
     return table_text({name: column[kept] for name, column in columns.items()}, 10)
@@ -48,9 +46,7 @@ class Missing:
 
 
 def rows_of(result: Mapping[str, Any]) -> int:
-    """Return how many rows a run has at full rate: one a step and the start, for which a record has
-    none.
-    """
+    """Return how many rows a run has at full rate: one a step and the start, if it has one."""
     steps = int(result["steps"])
     return max(steps, 1) if "record" in result else steps + 1
 

@@ -52,9 +52,7 @@ class RunView:
         return signals, {key: trace["plant", port] for key, port in ports}
 
     def columns(self) -> dict[str, Array]:
-        """Return all signals at full rate, and for each estimate whether the observer calls it
-        valid.
-        """
+        """Return all signals at full rate, and for each estimate whether it is called valid."""
         return {
             **self.signals,
             **self.observed,
@@ -84,9 +82,7 @@ class RunView:
         return {**own, **observer, **{f"{name}_valid": "1" for name in self.published}}
 
     def _true(self, setup: RunSetup) -> dict[str, Array]:
-        """Return the true parameters under the loads that act on the plant, and of the observer's
-        elements.
-        """
+        """Return the true parameters under the plant's loads and of the observer's elements."""
         torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
         load = 0.0 if torque is None or inertia is None else torque / inertia
         true = true_values(self.trace, self.signals.get("load_scale", 1.0), load)

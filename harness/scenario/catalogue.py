@@ -33,9 +33,7 @@ def scenario_files() -> dict[str, Path]:
 
 
 def scenarios() -> dict[str, str]:
-    """Return the titles of these scenarios by name; raise `BristleError` for a file that is not
-    TOML.
-    """
+    """Return the titles of these scenarios by name; `BristleError` for a file that is not TOML."""
     return {
         name: str(read_toml(path, "scenario file")[1].get("title", ""))
         for name, path in scenario_files().items()

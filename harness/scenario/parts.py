@@ -104,9 +104,7 @@ def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mappe
 
 
 def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
-    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to
-    be.
-    """
+    """Return the FMU's variable that a port of the bus, or an observer's estimate, is to be."""
     where, ports = f"{name}.variables.{key}", PORTS[name]
     estimated = name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")
     if key not in ports.units and not estimated:

@@ -303,9 +303,7 @@ def _on_record(setup: RunSetup, flags: tuple[Port, ...]) -> Bus:
 
 
 def _on_plant(setup: RunSetup, flags: tuple[Port, ...]) -> Bus:
-    """Return the bus of an observer that runs beside a plant, which a controller or a stimulus
-    drives.
-    """
+    """Return the bus of an observer beside a plant that a controller or a stimulus drives."""
     driven = [] if setup.scenario.open_loop else ["controller"]
     units = (*driven, "plant", "observer")
     # the loop, what the observer measures of it, and what the controller takes from the observer
@@ -329,9 +327,7 @@ def _on_plant(setup: RunSetup, flags: tuple[Port, ...]) -> Bus:
 
 
 def uncompensated(setup: RunSetup) -> Bus:
-    """Return the bus of the same run with the controller alone: nothing of the observer reaches
-    it.
-    """
+    """Return the bus of the same run with the controller alone: no part of the observer acts."""
     return Bus(
         _instances(setup, ("controller", "plant")),
         setup.steps,

@@ -82,9 +82,7 @@ def normalising(layout: Layout, h: float, y: Array, u: Array) -> Rig:
 
 
 def _speeds(position: Array, h: float) -> Array:
-    """Return the speeds as differences over a window in which the steps of the sensor hardly
-    count.
-    """
+    """Return speeds as differences over a window in which the sensor's steps hardly count."""
     samples = min(max(1, round(SPEED_WINDOW / h)), len(position) - 1)
     return np.abs(position[samples:] - position[:-samples]) / (samples * h)
 

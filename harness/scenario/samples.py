@@ -1,6 +1,4 @@
-"""A measured record as an observer reads it: input, position and velocity, and the units that they
-are in.
-"""
+"""A measured record as an observer reads it: input, position and velocity, and their units."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ class Samples:
 
 
 def read_samples(loaded: Loaded) -> Samples:
-    """Read the record that a scenario names; raise `BristleError`, one line, where observers cannot
-    read it.
-    """
+    """Read the record that a scenario names; `BristleError` where observers cannot read it."""
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = layout_of(scenario.record, loaded.path, "record.", scenario.record.velocity)

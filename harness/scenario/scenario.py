@@ -1,6 +1,4 @@
-"""Scenario files: TOML schema, overrides, and error lines that name file, key, value and what to
-do.
-"""
+"""Scenario files: TOML schema, overrides, errors that name file, key, value and what to do."""
 
 from __future__ import annotations
 

@@ -179,9 +179,7 @@ def _below_nyquist(loaded: Loaded, key: str, frequency: float, h: float) -> None
 def _points(
     loaded: Loaded, at: str, stimulus: Stimulus, fmu: Fmu, h: float
 ) -> Iterator[tuple[int, float]]:
-    """Yield the points: a value set at t is on the bus from the first step that starts at t or
-    later.
-    """
+    """Yield the points: a value of t is on the bus from the first step at t or later."""
     before = -math.inf
     for j, (when, what) in enumerate(stimulus.points):
         key = f"{at}.points[{j}]"

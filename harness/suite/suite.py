@@ -273,9 +273,7 @@ def _files(given: Path) -> list[Path]:
 
 
 def _refuse_folders(of_key: Sequence[str]) -> None:
-    """Refuse values of a key that cannot name result folders, or of which two would name the
-    same.
-    """
+    """Refuse values of a key that cannot name result folders, or that would name one twice."""
     taken: dict[str, str] = {}
     for given in of_key:
         name = _file_name(given)
@@ -385,9 +383,7 @@ def _remove_empty(out: Path, cases: Sequence[SuiteCase]) -> None:
 
 @contextmanager
 def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes, which end with this one: an interrupt is for the process that waits
-    for them.
-    """
+    """Give a pool of processes that end with this one, which interrupts are for."""
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start_worker)
     try:
         yield pool

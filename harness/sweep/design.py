@@ -83,9 +83,7 @@ class VariedKey:
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """One run of a sweep: its place, its seed if seeds are given, and what differs from the
-    scenario's file.
-    """
+    """One run of a sweep: its place, its seed if given, what differs from the scenario's file."""
 
     index: int
     overrides: tuple[str, ...]
@@ -145,9 +143,7 @@ class Design:
                 yield (*first[:place], value, *first[place + 1 :])
 
     def _shares(self) -> NDArray[np.float64]:
-        """Return cumulative probabilities, shape (samples, drawn axes), in the open interval from 0
-        to 1.
-        """
+        """Return cumulative probabilities, (samples, drawn axes), in the open interval 0 to 1."""
         from scipy.stats import qmc
 
         dimensions = sum(not axis.overrides for axis in self.axes)
@@ -294,9 +290,7 @@ def _uniform(given: str, positional: list[float], named: Mapping[str, float]) ->
 def _parameters(
     given: str, name: str, known: Any, positional: Sequence[float], named: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the parameters of a distribution by their names: its shapes, then scale, or location
-    and scale.
-    """
+    """Return the parameters of a distribution by name: shapes, scale, or location and scale."""
     shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
     # what may follow the shapes, by how many numbers do
     discrete = hasattr(known, "pmf")

@@ -26,9 +26,7 @@ def packed(sweep: Sweep) -> Sweep:
 
 
 def unpacked(sweep: Sweep) -> Sweep:
-    """Return a sweep whose files are on this machine; they are written, and read, once a
-    process.
-    """
+    """Return a sweep whose files are on this machine, written and read once a process."""
     if not sweep.files:
         return sweep
     with _unpacking:

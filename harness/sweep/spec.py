@@ -144,9 +144,7 @@ def _tree(text: str) -> dict[str, Any]:
 
 
 def parts_key(loaded: Loaded) -> str:
-    """Return what a scenario says of its FMUs, but for start values: where that is equal, the FMUs
-    are.
-    """
+    """Return what a scenario says of its FMUs but start values: where it is equal, the FMUs are."""
     scenario = loaded.scenario
     parts = (scenario.plant, None if scenario.open_loop else scenario.controller, scenario.observer)
     return json.dumps(

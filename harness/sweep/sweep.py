@@ -36,9 +36,7 @@ WAIT = 0.2  # s between two looks at what is done
 
 @dataclass
 class Summary:
-    """How a sweep ended: runs by verdict, the same of those that were there before, and the seconds
-    it took.
-    """
+    """How a sweep ended: runs by verdict, the same of earlier runs, and the seconds it took."""
 
     verdicts: dict[str, int]
     there: dict[str, int]

@@ -113,9 +113,7 @@ class Runs:
 
     @property
     def varied(self) -> list[str]:
-        """What varies over the runs: the values that were asked for, and the seed, where there are
-        several.
-        """
+        """What varies over the runs: the values asked for, and the seed, if there are several."""
         asked = dict.fromkeys(itertools.chain.from_iterable(sweep["vary"] for sweep in self.sweeps))
         return [name for name in [*asked, "seed"] if len(set(self.column(name)) - {None}) > 1]
 
@@ -131,9 +129,7 @@ class Runs:
 
     @property
     def unfinished(self) -> list[str]:
-        """A line on each sweep that was not finished: its runs that are not in the store are
-        missing here.
-        """
+        """A line on each sweep that was not finished: which of its runs are missing here."""
         return [
             f"the sweep of {sweep['runs']} runs of {sweep['scenario']} begun at"
             f" {sweep['provenance']['date']} is not finished: the store has {len(self)} runs;"
@@ -302,9 +298,7 @@ def _histograms(estimates: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _shown(runs: Runs) -> NDArray[np.intp]:
-    """Return which runs the maps show: those that do not pass first, then passing ones drawn at
-    random.
-    """
+    """Return which runs the maps show: those that do not pass, then passing ones at random."""
     passed = np.array([verdict == "pass" for verdict in runs.verdict])
     draw = np.random.default_rng(MAP_SEED)
     failing, passing = draw.permutation(runs.index[~passed]), draw.permutation(runs.index[passed])
@@ -390,9 +384,7 @@ def _scatter(runs: Runs, pairs: Sequence[tuple[str, str]], shown: NDArray[np.int
 def _places(
     runs: Runs, x: str, y: str, shown: NDArray[np.intp]
 ) -> dict[tuple[Any, Any], tuple[str, int]]:
-    """Return, for each pair of values of the runs shown, what all runs there do, and the one that
-    is linked.
-    """
+    """Return what all runs do at each pair of values shown, and the run that is linked."""
     there: dict[tuple[Any, Any], list[int]] = {}
     for run, at in enumerate(zip(runs.column(x), runs.column(y), strict=True)):
         there.setdefault(at, []).append(run)
@@ -415,9 +407,7 @@ def _places(
 
 
 def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:
-    """Return where a value stands on an axis; texts stand side by side, in the order of the
-    runs.
-    """
+    """Return where a value stands on an axis; texts side by side, in the order of the runs."""
     if runs.numeric(name):
         return float
     words = list(dict.fromkeys(str(value) for value in runs.column(name) if value is not None))

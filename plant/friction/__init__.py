@@ -33,9 +33,7 @@ def law_names() -> list[str]:
 
 
 def law(name: str) -> FrictionLaw:
-    """Return the law `name`, also one of an installed package; raise `BristleError` for an unknown
-    one.
-    """
+    """Return the law `name`, also of an installed package; `BristleError` for an unknown one."""
     own = laws()
     if name in own:
         return own[name]

@@ -388,9 +388,7 @@ def _candidates(diagnosis: Diagnosis) -> Any:
 
 
 def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
-    """Return what tied in a round: with what was added or, in the last one, without anything
-    added.
-    """
+    """Return what tied in a round: with what was added or, in the last one, with nothing added."""
     added = {effect.name for effect in diagnosis.effects}
     open_ = last and each.added is None
     return {

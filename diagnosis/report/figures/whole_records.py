@@ -133,9 +133,7 @@ def horizons_seen(curves: Sequence[DrawnModel], si: str) -> str:
 
 
 def worst(whole: WholeRecords) -> int:
-    """Return the place of the record with the largest error after the search, relative to its
-    motion.
-    """
+    """Return the place of the record with the largest error after the search, over its motion."""
     fits = [r.fit_after if math.isfinite(r.fit_after) else -math.inf for r in whole.records]
     return int(np.argmin(fits))
 

@@ -41,9 +41,7 @@ def view_name(view: str, label: Line = "") -> str:
 
 
 def effect_name(name: str, wording: Wording = ROTARY) -> str:
-    """Return an effect in words, its identifier in brackets; a name that is no effect stays as it
-    is.
-    """
+    """Return an effect in words, its identifier in brackets; another name stays as it is."""
     known = all_effects(wording)
     return f"{known[name].title} ({name})" if name in known else name
 
@@ -96,9 +94,7 @@ def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str,
 
 
 def plain_texts(e: Estimate) -> tuple[str, str, str]:
-    """Return an estimate and the ends of its interval as plain texts; the ends are empty where
-    there is none.
-    """
+    """Return an estimate and the ends of its interval as texts; the ends are empty without one."""
     texts_and_power = rounded(e.value, *e.ci95) if e.ci95 else None
     if texts_and_power is None:
         return f"{e.value:.4g}", "", ""

@@ -1,6 +1,4 @@
-"""The sentences of a diagnosis: what is missing, how much, how certain, and what to measure
-next.
-"""
+"""The sentences of a diagnosis: what is missing, how much, how surely, what to measure next."""
 
 from __future__ import annotations
 
@@ -211,9 +209,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
 
 
 def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:
-    """Return a line on the residual that is unexplained; with an open tie none of its members was
-    added.
-    """
+    """Return a line on the unexplained residual; with an open tie no member of it was added."""
     if left.view is None:
         seen = (
             f"a random disturbance of {100 * left.disturbance:.0f} % of the {wording.torque} of the"
