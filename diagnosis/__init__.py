@@ -1,6 +1,4 @@
-"""Measured records against a model: where they disagree, the name of what is missing, and the model
-with it added.
-"""
+"""Measured records against a model: where they disagree, and the model with what is missing."""
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Diagnosis, Validation

@@ -227,9 +227,7 @@ class Named:
         return self.known_within(STRENGTH_HALF_WIDTH)
 
     def known_within(self, share: float) -> bool:
-        """Return whether its strength, or its free play, is known to within this share of its
-        value, or given.
-        """
+        """Return whether its strength, or free play, is known to within this share, or given."""
         strength = self.parameters.get(
             find_effect(self.name).decisive.name.removeprefix(f"{self.name}.")
         )

@@ -1,6 +1,4 @@
-"""The model file of a diagnosis: friction law, nominal parameters and their bounds, and what the
-columns hold.
-"""
+"""The model file of a diagnosis: friction law, parameters, bounds, and the columns."""
 
 from __future__ import annotations
 
@@ -104,9 +102,7 @@ class Model(Layout):
         }
 
     def unit(self, name: str) -> str:
-        """Return the SI unit of a parameter of the servo, of the law or of any effect
-        (``cogging.amplitude``).
-        """
+        """Return the SI unit of a parameter of servo, law or effect (``cogging.amplitude``)."""
         return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
 
     def unit_in_fmu(self, name: str, unit: str) -> str:
@@ -329,9 +325,7 @@ def _quantity(text: str, unit: str) -> float:
 
 
 def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
-    """Return all nominal values; what is missing is refused, but for parameters that are optional
-    or 0 by default.
-    """
+    """Return all nominal values; what is missing is refused, unless optional or 0 by default."""
     parameters: dict[str, float] = {}
     for name, value in _flat(given):
         full = file.full_name("parameters", name, value)

@@ -47,9 +47,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Regression:
-    """J, a2 and Fc of either sign (3,) with standard errors (3,), and the share of the torque that
-    they explain.
-    """
+    """J, a2 and Fc of either sign (3,), standard errors (3,), and the share they explain."""
 
     rows: Rows
     value: Array

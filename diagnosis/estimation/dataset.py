@@ -318,9 +318,7 @@ class Dataset:
         return next(np.asarray(mask) for mask in (every & free, every, last) if mask.any())
 
     def time_at(self, times: Sequence[float]) -> Array:
-        """Return the time of each sample of the motion [s] with other times of the first samples of
-        the records.
-        """
+        """Return each sample's time [s] with other times of the first samples of the records."""
         shift = np.array(times) - np.array(self.segments.times)
         return np.asarray(self.motion.time + shift[self.motion.record])
 

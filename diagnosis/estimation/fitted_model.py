@@ -152,9 +152,7 @@ def has_diverged(dataset: Dataset, fit: Fit) -> bool:
 
 
 def has_outliers_or_disturbance(dataset: Dataset, fit: Fit) -> bool:
-    """True if some training segment is an outlier, or the estimated disturbance is a large part of
-    the torque.
-    """
+    """True if a training segment is an outlier, or the disturbance is large beside the torque."""
     return (
         bool(fit.weight[dataset.train].min() < OUTLIER_WEIGHT)
         or disturbance_ratio(dataset, fit) > LARGE_DISTURBANCE

@@ -59,9 +59,7 @@ class InitialStateElimination:
         return np.asarray(np.matmul(self.by_initial.transpose(0, 2, 1), columns))
 
     def step(self, gradient: Array) -> Array:
-        """Return the Gauss-Newton step of the initial states (segments, width) for a gradient
-        (segments, width).
-        """
+        """Return the Gauss-Newton step of the initial states for a gradient, (segments, width)."""
         return np.asarray(np.matmul(self.inverse, gradient[:, :, None])[:, :, 0])
 
     def project(self, columns: Array) -> Array:

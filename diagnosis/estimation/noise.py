@@ -1,6 +1,4 @@
-"""Noise of a residual when nothing is missing: a coloured torque through the servo, and the noise
-of the sensor.
-"""
+"""Noise of a residual where nothing is missing: a coloured torque and the sensor's noise."""
 
 from __future__ import annotations
 

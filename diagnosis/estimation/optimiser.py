@@ -189,9 +189,7 @@ def refit_initial_states(problem: Problem, fit: Fit) -> Fit:
 
 
 def value_under_noise(fit: Fit, noise_problem: NoiseProblem) -> tuple[float, Fit]:
-    """Return the log-likelihood that the next step predicts [nats], and the fit, both under a noise
-    of its own.
-    """
+    """Return the log-likelihood that the next step predicts [nats] and the fit, under its noise."""
     fit = rescored(noise_problem(fit), fit)
     return fit.total + predicted_gain(fit), fit
 

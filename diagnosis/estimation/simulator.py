@@ -268,9 +268,7 @@ class Simulator:
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that is fitted: its interval, whether its steps are factors, and an optional
-    Gaussian prior.
-    """
+    """A fitted parameter: its interval, whether its steps are factors, an optional prior."""
 
     name: str
     low: float

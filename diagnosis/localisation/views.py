@@ -62,9 +62,7 @@ def is_same(periods: float | None, wave: float) -> bool:
 
 
 def is_form(periods: float | None, wave: float) -> bool:
-    """True if the number of periods is a small multiple of a wave's, so that it may be a harmonic
-    of its form.
-    """
+    """True if the number of periods is a small multiple of a wave's, so maybe a harmonic."""
     return periods is not None and any(is_same(periods, k * wave) for k in FORM_HARMONICS)
 
 

@@ -93,9 +93,7 @@ def augment(
 
 
 def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) -> Augmented:
-    """Return the model with what was named and the unnamed torque; its parameters are those fitted
-    beside that.
-    """
+    """Return the model with the named and the unnamed torque, parameters fitted beside that."""
     if choose is not None:
         raise BristleError(
             f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect"

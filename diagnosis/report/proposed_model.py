@@ -29,9 +29,7 @@ def _declared() -> dict[str, Parameter]:
 
 
 def resolution_of(proposal: Proposal) -> tuple[float, str] | None:
-    """Return the step that the output shows, in SI and as text in the unit of its column; None if
-    it shows none.
-    """
+    """Return the step that the output shows, in SI and as text in its unit; None if none."""
     step = max((record.resolution or 0.0 for record in proposal.records), default=0.0)
     if not step:
         return None

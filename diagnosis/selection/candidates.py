@@ -119,9 +119,7 @@ class EffectFit:
 def fit_candidates(
     context: SearchContext, names: Sequence[str], effort: Effort
 ) -> tuple[list[EffectFit], Null]:
-    """Return the named effects, the most promising of them refitted to the end, and the null of the
-    largest gain.
-    """
+    """Return the named effects, the most promising refitted to the end, and the null."""
     context.prepare()
     done: list[str] = []
 

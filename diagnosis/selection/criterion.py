@@ -91,9 +91,7 @@ class TrialRound:
 def accept_or_reject(
     context: SearchContext, tried: Sequence[EffectFit], above_level: Sequence[EffectFit], null: Null
 ) -> TrialRound:
-    """Return the comparison of the candidates above the null's level, under the noise of the best
-    one's residual.
-    """
+    """Return the comparison of candidates above the level, under the best one's noise."""
     problem, contenders = _refitted_contenders(context, _inside_limits(context, above_level))
     contenders = _inside_limits(context, contenders)
     plain = _refitted_plain(problem, context.fit, _likeliest(contenders))

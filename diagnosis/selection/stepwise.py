@@ -295,9 +295,7 @@ def retry_with_shape(context: SearchContext, latest: TrialRound) -> TrialRound:
 
 
 def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:
-    """True if outliers or a large disturbance are left that neither free play nor uniform motion
-    accounts for.
-    """
+    """True if outliers or a large disturbance remain that free play and motion do not explain."""
     poor = has_outliers_or_disturbance(dataset, fitted.fit)
     return (
         poor

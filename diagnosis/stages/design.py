@@ -47,9 +47,7 @@ class _Design:
         return apart or pairs
 
     def outputs(self, u: Array) -> list[Array] | None:
-        """Return the outputs of the rivals, or None if an input or the motion leaves the limits
-        with one of them.
-        """
+        """Return the outputs of the rivals; None if an input or motion leaves one's limits."""
         if not self.limits.allow_input(u):
             return None
         outputs = []

@@ -33,9 +33,7 @@ def unnamed_torque(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosi
 
 
 def torque_of(case: SearchedCase) -> UnnamedTorque:
-    """Return the functions of which each lowers the error on held-out segments by as much as an
-    effect has to.
-    """
+    """Return the functions that each lower the error on held-out segments as an effect must."""
     dataset, model = case.dataset, case.final
     curves: list[TorqueCurve] = []
     refused: tuple[TorqueCurve, float] | None = None

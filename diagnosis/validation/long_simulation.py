@@ -86,9 +86,7 @@ class Records:
         )
 
     def horizons(self, segment: float) -> list[float]:
-        """Return growing horizons, from above the length of a segment [s] to the length of the
-        longest record.
-        """
+        """Return growing horizons, from above a segment's length [s] to the longest record's."""
         lengths, longest = [], self.seconds
         while WHOLE_RATIO * GROWTH * segment < longest:
             segment *= GROWTH

@@ -44,9 +44,7 @@ def validated(
 
 
 def model_simulation(model: Model, h: float) -> Simulated:
-    """Return what simulates a model, nothing of which is fitted but the starts; `h` [s] is the
-    sampling period.
-    """
+    """Return what simulates a model, only its starts fitted; `h` [s] is the sampling period."""
     servo, values = (
         Servo(model.friction, tuple(model.effects), (), (), fixed_values(h), False),
         model.settings(),

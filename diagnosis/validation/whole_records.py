@@ -1,6 +1,4 @@
-"""After the search: the models before and after it over whole records, and their parameters
-refitted to these.
-"""
+"""After the search: the models over whole records, and their parameters refitted to these."""
 
 from __future__ import annotations
 

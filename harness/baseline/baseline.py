@@ -131,9 +131,7 @@ def _check_end(checked: Checked, result: Mapping[str, Any]) -> None:
 
 
 def _tried(way: Repeat) -> tuple[RepeatedRun | None, str]:
-    """Return a repeated run, or why it could not be done: a compiler that fails says nothing about
-    the scenario.
-    """
+    """Return a repeated run, or why it failed: a compiler's failure says nothing about it."""
     try:
         return way.run(), ""
     except BristleError as error:

@@ -174,9 +174,7 @@ def _rounding_otherwise(name: str, command: tuple[str, ...]) -> list[Toolchain]:
 
 
 def fused_flags() -> tuple[str, ...]:
-    """Return the flags that fuse multiplications and additions, none if the processor cannot or is
-    not known to.
-    """
+    """Return the flags that fuse multiplications and additions; none if the processor cannot."""
     if platform.machine().lower() in ("aarch64", "arm64"):
         return ("-ffp-contract=fast",)
     known = CPU_FLAGS.exists() and " fma " in CPU_FLAGS.read_text(encoding="utf-8")

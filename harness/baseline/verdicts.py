@@ -54,9 +54,7 @@ class QuantityVerdict:
 
 @dataclass(frozen=True)
 class SignalCourse:
-    """What a figure shows of a signal: times [s], reference, lower and upper bound, and the run,
-    shape (n,) each.
-    """
+    """What a figure shows of a signal: times [s], reference, bounds, run, shape (n,) each."""
 
     time: Array
     reference: Array

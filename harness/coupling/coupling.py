@@ -56,9 +56,7 @@ class Error:
 
 @dataclass(frozen=True)
 class Scheme:
-    """A way to couple the FMUs, and what it gives: the verdict of the scenario, errors and final
-    estimates by name.
-    """
+    """A way to couple the FMUs, and what it gives: verdict, errors and final estimates by name."""
 
     name: str
     verdict: str
@@ -140,9 +138,7 @@ def compare(setup: RunSetup, bus: Bus, progress: Told) -> CouplingCost:
 
 
 def _ways(bus: Bus, divided: Mapping[int, str]) -> Mapping[str, Callable[[], BusTrace]]:
-    """Return how the bus is run, by name, the refined way first; `divided` names the ways with all
-    FMUs at once.
-    """
+    """Return how the bus is run, by name, the refined way first; `divided`: all FMUs at once."""
     units = [each.name for each in bus.instances]
     orders = list(dict.fromkeys(tuple(u for u in order if u in units) for order in ORDERS))
     refined = f"{' - '.join(orders[0])}, step {bus.h / REFINED:g} s"

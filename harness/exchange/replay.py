@@ -95,9 +95,7 @@ def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array
 
 
 def verdict_of(failure: object, compared: bool, signals: Sequence[SignalAgreement]) -> str:
-    """Return ``pass``, ``fail`` (also of a reference with nothing to compare), or ``ran`` where
-    there is no reference.
-    """
+    """Return ``pass``, ``fail`` (also with nothing to compare), or ``ran`` without a reference."""
     if failure or not all(each.holds for each in signals) or (compared and not signals):
         return "fail"
     return "pass" if compared else "ran"

@@ -64,9 +64,7 @@ def behaviour(motion: PlantMotion) -> dict[str, Quantity]:
 
 
 def stick_intervals(v: Array, h: float) -> list[tuple[int, int]]:
-    """Return the rows (first, last + 1) over which |v| stays below the threshold for
-    `STICK_SECONDS` or longer.
-    """
+    """Return the rows (first, end) over which |v| stays low for `STICK_SECONDS` or longer."""
     slow = np.abs(v) < STICK_SPEED * float(np.sqrt(np.mean(v**2)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

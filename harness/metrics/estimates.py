@@ -29,9 +29,7 @@ def error_percent(estimate: Array, true: Array | float) -> Array:
 
 
 def settling(time: Array, error: Array, band: float = SETTLING_BAND) -> float:
-    """Return the last time |error| exceeds the band; 0 if it never does, not a number if it still
-    does at the end.
-    """
+    """Return the last time |error| exceeds the band: 0 if never, NaN if still at the end."""
     outside = np.flatnonzero(~(np.abs(error) <= band))
     if not len(outside):
         return 0.0
@@ -215,9 +213,7 @@ def estimates_state(trace: BusTrace, name: str) -> bool:
 def state_errors(
     trace: BusTrace, truth: Mapping[str, Array], units: Mapping[str, str]
 ) -> dict[str, dict[str, Any]]:
-    """Return the rms error of the observer's states against the true ones, over the run and over
-    its last tenth.
-    """
+    """Return the rms error of the observer's states, over the run and over its last tenth."""
     out = {}
     for name, values in truth.items():
         port = ("observer", f"{name}_hat")

@@ -110,9 +110,7 @@ def _check_quantities(setup: RunSetup) -> None:
 
 
 def check_estimated(setup: RunSetup) -> None:
-    """Refuse a check of what the method does not estimate; an FMU from elsewhere shows that only
-    when it runs.
-    """
+    """Refuse a check of what the method does not estimate; an FMU from elsewhere shows it later."""
     from bristle.fmus.build import estimated
 
     observer, method = setup.fmus["observer"], setup.scenario.observer.method

@@ -17,9 +17,7 @@ PYTHON_PROJECT = "pyproject.toml"
 
 
 def scenario_files() -> dict[str, Path]:
-    """Return the scenarios that come with bristle, and those in plug-in folders, by name in
-    alphabetical order.
-    """
+    """Return the scenarios of bristle and of plug-in folders, by name in alphabetical order."""
     by_name: dict[str, Path] = {}
     own = Path(str(files("bristle.scenarios")))
     for path in [*own.glob("*.toml"), *plugin_files("scenarios", ".toml")]:

@@ -1,6 +1,4 @@
-"""Many runs of scenarios, by file, seed and values: which passed, and how each check came out over
-all of them.
-"""
+"""Many runs of scenarios, by file, seed and values: which passed, and how each check fared."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
 
 @dataclass(frozen=True)
 class SuiteCase:
-    """One run: a scenario file, a seed of the reference if one is given, and values that differ
-    from the file's.
-    """
+    """One run: a scenario file, a seed if given, and values that differ from the file's."""
 
     path: Path
     seed: int | None = None
@@ -216,9 +212,7 @@ def run_suite(
 
 
 def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
-    """Return each limit of each check over runs of one scenario; a value that is not finite is
-    worse than any other.
-    """
+    """Return each limit of each check over runs of one scenario; what is not finite is worst."""
     lines: dict[tuple[str, str, str, float], list[tuple[float, bool, str]]] = {}
     for each in tested:
         for c in each.checks:

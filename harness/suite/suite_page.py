@@ -100,9 +100,7 @@ def junit(tested: Sequence[CaseResult], waiting: Sequence[SuiteCase] = ()) -> by
 
 
 def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
-    """Return index.html: each scenario with its checks over all runs, and all runs with links to
-    their reports.
-    """
+    """Return index.html: each scenario with its checks over all runs, linked to their reports."""
     scenarios = [_scenario(path.stem, runs) for path, runs in by_scenario(tested).items()]
     checks = [check for each in scenarios for check in each["checks"]]
     return pages.render(

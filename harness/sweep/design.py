@@ -65,9 +65,7 @@ class VariedKey:
 
     @property
     def meaning(self) -> str:
-        """What its values in a table are: text, numbers in SI units, or numbers in a unit that is
-        one of these.
-        """
+        """What its values in a table are: text, numbers in SI, or numbers in one of these units."""
         if not self.numeric:
             return "text"
         units = {_number_and_unit(each)[1] for each in self.overrides} or {self.unit}

@@ -1,6 +1,4 @@
-"""The report of a store: verdicts, distributions of estimates, coverage of their intervals, and
-where runs fail.
-"""
+"""The report of a store: verdicts, estimates, coverage of intervals, and where runs fail."""
 
 from __future__ import annotations
 
