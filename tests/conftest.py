@@ -20,7 +20,7 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.model.compiler import FLAGS_VARIABLE
 
-ONE_SLOW_IN = 8  # of the slow tests of a file, a share has one in so many
+ONE_SLOW_IN = 64  # of all slow tests, a share has one in so many
 SCENARIO = """
 duration = "1 s"
 [plant]
@@ -103,16 +103,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.Item]:
     """Return the tests that are not in a share.
 
-    Of the sets of a test with `sampled(n)`, and of the slow and the other tests of a file, one in
-    so many is: those whose place has one remainder, which the share and the name of the group draw.
+    Of the sets of a test with `sampled(n)`, of all slow tests, and of the other tests of a file,
+    one in so many is: those whose place has one remainder, which the share and the name of the
+    group draw.
     """
     groups: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
         file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
-        if sampled := item.get_closest_marker("sampled"):
+        if item.get_closest_marker("slow"):
+            group = ("slow", ONE_SLOW_IN)
+        elif sampled := item.get_closest_marker("sampled"):
             group = (test, sampled.args[0] * one_in)
         else:
-            group = (file, ONE_SLOW_IN if item.get_closest_marker("slow") else one_in)
+            group = (file, one_in)
         groups.setdefault(group, []).append(item)
     left_out = set()
     for (name, n), group_items in groups.items():

@@ -147,6 +147,7 @@ def test_the_plan_is_full_balanced_mixed_and_reproducible() -> None:
     assert len({s.group for s in specs[:100]}) == len(SIZES)
 
 
+@pytest.mark.slow
 def test_a_case_contains_nothing_but_its_records(tmp_path: Path) -> None:
     specs = [s for s in plan("some commit", 0.05) if s.group in ("control", "same")]
     chosen = [next(s for s in specs if s.group == group) for group in ("control", "same")]

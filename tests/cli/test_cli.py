@@ -400,6 +400,7 @@ def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Pa
     assert "Traceback" in done.stderr
 
 
+@pytest.mark.slow
 def test_only_what_a_scenario_names_is_compiled_and_told_once(case: Path, tmp_path: Path) -> None:
     """On the error output, so that a pipe of the verdicts has none of it; the cache is empty at
     first.

@@ -25,6 +25,7 @@ def kept(call: Call, case: Path, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_rerun_is_the_same_and_a_change_is_not(
     call: Call, case: Path, kept: Path, tmp_path: Path
 ) -> None:

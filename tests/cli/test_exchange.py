@@ -62,6 +62,7 @@ def test_what_is_exported_passes_and_what_is_changed_fails(call, kit, tmp_path, 
     )
 
 
+@pytest.mark.slow
 def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
     with zipfile.ZipFile(kit / "fmus" / "plant.fmu") as archive:
         archive.extractall(tmp_path)
@@ -110,6 +111,7 @@ def test_mistakes_are_one_line_and_exit_code_2(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_with_other_files_is_left_as_it_is(call, kit, tmp_path):
     code, _, _ = call("export", tmp_path / "axis.toml", "--out", kit)  # again
     assert code == 0

@@ -169,6 +169,7 @@ def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
 @pytest.mark.parametrize("closed", ["0<&- >&-", ">&-", "2>&-", "0<&- >&- 2>&-"])
 def test_closed_streams_lead_nowhere(folder: Path, closed: str) -> None:

@@ -56,6 +56,7 @@ def run(folder: Path, *arguments: str, site: Path | None = None) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_what_is_installed_is_listed(written, installed):
     listed = run(written, "-m", "bristle", "list", site=installed)
     assert all(f"  {name} " in listed for name in NAMES.values())

@@ -109,6 +109,7 @@ def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few
     assert objection in said(assessment.objection or "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bias", "hard_stop"])
 def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name):
     """They speak against an effect if they measured what the model without it simulates; a stop is
@@ -397,6 +398,7 @@ def test_where_a_model_diverges_start_values_with_less_dry_friction_are_added(di
     assert len(starts) > len(found)  # and as before
 
 
+@pytest.mark.slow
 def test_a_dead_zone_that_holds_most_of_the_input_back_must_be_beyond_doubt(case):
     made = case("dead_zone")
     credible = made.base.servo.credible
@@ -534,6 +536,7 @@ def test_an_exhaustive_search_finds_what_a_quick_one_does_not(case):
     assert search(made.dataset, made.base, SearchOptions()).final.servo.effects == ("compliance",)
 
 
+@pytest.mark.slow
 def test_an_effect_may_be_given_start_values_and_all_effort(case):
     """As a benchmark does that knows the answer: the exhaustive search is made in the first
     pass.
@@ -577,6 +580,7 @@ def test_a_model_that_lacks_nothing_fits_well(case):
     assert not needs_exhaustive_search(made.dataset, made.base)
 
 
+@pytest.mark.slow
 def test_an_effect_is_rejected_only_after_another_shape_was_tried(case):
     """A disc with a second harmonic: with the usual shape made too small by hand, the other one is
     added.
@@ -620,6 +624,7 @@ def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, move
     assert "backlash.play" in [f.name for f in servo.free]
 
 
+@pytest.mark.slow
 def test_a_further_effect_is_added_only_where_its_strength_is_known(
     case, monkeypatch, search_among
 ):

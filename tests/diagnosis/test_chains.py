@@ -95,6 +95,7 @@ def test_records_of_a_velocity_stay_whole():
     assert (whole.first.tolist(), whole.end.tolist()) == ([0, 50], [50, 100])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [("disturbance_step",), ("input_delay", "disturbance_step")])
 def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch):
     """Outputs and derivatives, with a clock that runs on; what is left of a hidden state decays in

@@ -57,6 +57,7 @@ def joined(case, name):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(HIDDEN))
 def test_starts_from_data_lead_to_the_truth(case, name):
@@ -307,6 +308,7 @@ def free_play(case):
     )
 
 
+@pytest.mark.slow
 def test_a_load_with_free_play_is_found_from_a_wrong_play_and_stiffness(free_play):
     """Steps along derivatives leave the load at its side of the play; chosen again in each segment,
     it leads to the true values.
@@ -422,6 +424,7 @@ def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
     np.testing.assert_array_equal(after[1:], before[1:])
 
 
+@pytest.mark.slow
 def test_parameters_collinear_with_an_effect_are_found(case):
     """Back EMF is viscous friction by another name; gravity is nothing else."""
     for name, others in (("back_emf", ("a2",)), ("gravity", ())):

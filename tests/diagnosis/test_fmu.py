@@ -99,6 +99,7 @@ def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records
     assert found.model.parameters["J"] == pytest.approx(0.15, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_an_input_in_another_unit_is_reported(model, records):
     found = diagnose_fmu(

@@ -204,6 +204,7 @@ def test_a_model_file_and_records_in_one_call(tmp_path, records):
         bristle.validate(model(), tmp_path / "out" / "validation.json", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_an_fmu_with_names_and_units_of_its_own_has_the_same_errors(records, plant, tmp_path):
     """The same FMU, its variables renamed and declared in other units: here in the units that its
     numbers are not in.

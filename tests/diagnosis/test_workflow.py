@@ -400,6 +400,7 @@ def test_arguments_of_a_wrong_type_are_one_line(model, tmp_path, call, words):
         call(model, tmp_path / "out")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_effects_whose_strength_may_be_nothing_in_the_end_are_withdrawn(
     model, measured, monkeypatch

@@ -41,7 +41,13 @@ def test_the_fmu_stays_in_the_tube(built, Raw, what, fmi):
     assert outside(expected, through_fmi(Raw(fmu.info), what, names)) == {}
 
 
-@pytest.mark.parametrize("what", FMU_NAMES)
+@pytest.mark.parametrize(
+    "what",
+    [
+        pytest.param(what, marks=pytest.mark.slow) if what == "observer" else what
+        for what in FMU_NAMES
+    ],
+)
 def test_the_reference_is_the_run_of_the_program(what):
     reference, run = read_reference(what), reference_run(what)
     assert list(reference) == list(run)

@@ -111,6 +111,7 @@ def test_the_tests_of_the_catalogue_pass_with_the_files(written, files, wanted):
     assert re.search(r"\d+ passed|100%", printed), printed
 
 
+@pytest.mark.slow
 def test_the_tests_of_declarations_pass_with_a_source_of_the_folder(written, tmp_path):
     (tmp_path / "laws").mkdir()
     text = (written / LAW_FILE).read_text(encoding="utf-8")

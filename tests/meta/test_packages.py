@@ -232,6 +232,7 @@ def test_the_wheel_holds_nothing_else(wheel):
     assert not [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith(".npz")]
 
 
+@pytest.mark.slow
 def test_every_module_of_the_wheel_imports_from_the_wheel(wheel, tmp_path):
     """A fresh interpreter that does not know the checkout imports each module out of the unpacked
     wheel.

@@ -48,6 +48,7 @@ def in_python(program, tables, inputs, record, parameters):
     return np.array(out), core.steps
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(laws()))
 def test_three_arithmetics_agree_over_20_seconds(name):

@@ -50,6 +50,7 @@ def outputs(program: Program) -> list[str]:
     return [slot.name for slot in program.slots if slot.kind == "output"]
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize(
     ("what", "variant"),

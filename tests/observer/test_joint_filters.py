@@ -344,6 +344,7 @@ def test_constant_noise_and_the_papers_entries_are_slower_and_less_exact():
     assert settled(usual) > 3 * settled(own)
 
 
+@pytest.mark.slow
 def test_elements_side_by_side_are_found_where_their_distances_are_known():
     data = record("parallel", 60.0)
     c = {"c1": 50.0, "c2": 150.0, "c3": 450.0}

@@ -96,6 +96,7 @@ def late(data: dict[str, np.ndarray], samples: float) -> dict[str, np.ndarray]:
 # -- right, and it says so -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "names"),
     [
@@ -133,6 +134,7 @@ def test_filtered_approach_one_finds_a_delay_and_loses_nothing(method, samples):
 # -- wrong, and it says so -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     "method", [*TWO_STEP, "swapped_position", "joint_ekf", "joint_ukf", "parallel_elements"]

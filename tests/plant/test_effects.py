@@ -259,6 +259,7 @@ def test_every_effect_joins_every_law_or_is_refused(law_name):
         }
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(11)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_each_runs_for_two_seconds_and_shows(law_name):
@@ -275,6 +276,7 @@ def test_each_runs_for_two_seconds_and_shows(law_name):
         assert np.max(np.abs(found[:, 0] - found[:, 3])) < 2 * math.pi / 40000 + 1e-12, name
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(11)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_with_zero_strength_it_is_the_servo_without_the_effect(law_name):

@@ -517,6 +517,7 @@ def test_a_number_that_does_not_exist_has_its_own_reason() -> None:
         }
 
 
+@pytest.mark.slow
 def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(
     place: Path,
 ) -> None:
@@ -573,6 +574,7 @@ method = "rls"
     assert compared.passed, differences(compared)
 
 
+@pytest.mark.slow
 def test_an_fmu_from_elsewhere_is_run_as_it_is(
     scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path
 ) -> None:

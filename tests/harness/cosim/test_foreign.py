@@ -148,6 +148,7 @@ def test_a_forged_answer_is_refused_and_runs_no_code(
     assert not list(tmp_path.rglob("forged"))
 
 
+@pytest.mark.slow
 def test_one_that_takes_all_memory_harms_itself_alone(
     faulty: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,6 +81,7 @@ def test_lanes_have_the_digits_of_fmus(base: str, scenario_file: Maker) -> None:
     check_equal(buses[1:], made)  # nothing is left of the first time
 
 
+@pytest.mark.slow
 def test_an_fmu_with_effects_and_another_law(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base)
     changes = [

@@ -58,6 +58,7 @@ def table(store: Store) -> pa.Table:
     return store.table().drop_columns(["wall_s"])
 
 
+@pytest.mark.slow
 def test_a_row_has_the_numbers_of_the_run_alone_and_its_command(path: Path, tmp_path: Path) -> None:
     """To the last bit, though FMUs are reset between runs and not loaded anew."""
     asked = design(VARY, seeds=[1, 2], samples=3)
