@@ -176,7 +176,7 @@ def _sources(package: str) -> list[str | bytes]:
     paths = sorted(
         path
         for path in folder.rglob("*")
-        if path.suffix in (".py", ".c", ".h", ".txt", ".png", ".svg")
+        if path.suffix in (".py", ".c", ".h", ".txt", ".png", ".svg", ".html", ".csv")
     )
     return [
         part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())

@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -20,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.pages import render
 from bristle.common.parameter_set import Value, parameter_set
 from bristle.common.signals import table_text
 from bristle.common.work import TemporaryFolder
 from bristle.common.xml import document
-from bristle.fmus.documentation import PAGE_STYLE
 from bristle.fmus.host import Fmu
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.reference import (
@@ -225,19 +224,6 @@ def _sums(content: Mapping[str, bytes]) -> bytes:
 
 
 def _page(related: Sequence[Related]) -> str:
-    rows = "".join(
-        f"<tr><td><code>{escape(source)}</code></td><td>{escape(role)}</td><td>{escape(text)}</td></tr>\n"
-        for source, _, role, text in related
-    )
-    about = (
-        f"In <code>{FOLDER}</code> (FMI-LS-REF). An experiment holds the inputs at every"
-        " communication step and outputs after them, which an importer should meet to"
-        f" {TUBE_HALF_WIDTH:g} of the size of each signal. <code>bristle run</code> with the FMU as"
-        " its argument repeats them."
-    )
-    head = f'<meta charset="utf-8">\n<title>Related files</title>\n<style>{PAGE_STYLE}</style>'
-    body = f"<h1>Related files</h1>\n<p>{about}</p>\n<table>\n{rows}</table>"
-    return (
-        "<!doctype html>\n<html"
-        f' lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+    return render(
+        "bristle.fmus/related.html", folder=FOLDER, half_width=TUBE_HALF_WIDTH, related=related
     )

@@ -105,7 +105,7 @@ def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.I
 
     Of the sets of a test with `sampled(n)`, of all slow tests, and of the other tests of a file,
     one in so many is: those whose place has one remainder, which the share and the name of the
-    group draw.
+    group draw. Of several sets at least one is; a test without sets is in one of n shares.
     """
     groups: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
@@ -119,7 +119,8 @@ def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.I
         groups.setdefault(group, []).append(item)
     left_out = set()
     for (name, n), group_items in groups.items():
-        drawn = crc32(f"{share} {name}".encode()) % min(n, len(group_items))
+        several = "[" in group_items[0].nodeid or "::" not in name
+        drawn = crc32(f"{share} {name}".encode()) % (min(n, len(group_items)) if several else n)
         left_out.update(item for k, item in enumerate(group_items) if k % n != drawn)
     return left_out
 

@@ -3,6 +3,8 @@
 import json
 import zipfile
 
+import pytest
+
 from bristle.fmus import obtain
 from bristle.fmus.conformance import BEHAVIOUR, Verdict, static_conformance
 
@@ -15,6 +17,7 @@ def only_read(path, tell):
     return [dict(zip(("id", "verdict", "findings"), row, strict=True)) for row in rows]
 
 
+@pytest.mark.sampled(3)
 def test_the_command_says_which_points_fail(call, tmp_path, monkeypatch):
     code, out, _ = call("check", obtain("controller"))
     assert code == 0

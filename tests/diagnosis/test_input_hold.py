@@ -44,6 +44,7 @@ def begun(model, records):
     return dataset, fit_from_several_starts(dataset, *base_servo_of(model, dataset))
 
 
+@pytest.mark.sampled(3)
 def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
     records = logged()
     found = estimate_input_share(*begun(model, records))

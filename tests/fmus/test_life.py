@@ -264,6 +264,7 @@ def resident():
     return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]) * 4096
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.skipif(
     not Path("/proc/self/statm").exists(), reason="needs /proc to read the memory in use"
 )

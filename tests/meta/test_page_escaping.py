@@ -14,6 +14,8 @@ from bristle.common.drawing import Drawing
 from bristle.diagnosis.answer import Undetected, ValidatedRecord, Validation
 from bristle.diagnosis.report import html as diagnosis_page
 from bristle.diagnosis.report import validation_page
+from bristle.fmus import related
+from bristle.fmus.documentation import documentation
 from bristle.harness.baseline import comparison_page
 from bristle.harness.baseline.verdicts import (
     QuantityVerdict,
@@ -181,7 +183,20 @@ def validation_of(_):
     return validation_page.render(validation, MADE | {EVIL: EVIL, "x": {EVIL: EVIL}})
 
 
+def documentation_of(_):
+    program = SimpleNamespace(name=EVIL, description=EVIL, selector=EVIL)
+    program.variants = [SimpleNamespace(system=program)]
+    interface = SimpleNamespace(program=program, of=lambda *_: [], sample_time=1.0, continuous=True)
+    return documentation(interface)
+
+
+def related_of(_):
+    return related._page([(EVIL, EVIL, EVIL, EVIL)])
+
+
 PAGES = {
+    "fmus/templates/documentation.html": documentation_of,
+    "fmus/templates/related.html": related_of,
     "harness/run/templates/report.html": run_of,
     "harness/suite/templates/index.html": suite_of,
     "harness/sweep/templates/report.html": sweep_of,
@@ -216,7 +231,7 @@ def test_a_name_from_outside_is_text(name, tmp_path):
 
 def test_only_what_a_template_wrote_itself_is_called_safe():
     """A filter `safe` behind anything but a text would switch the escaping off."""
-    for room in ("common", "harness", "diagnosis", "package"):
+    for room in ("common", "harness", "diagnosis", "package", "fmus"):
         for path in (ROOT / room).rglob("*.html"):
             marked = re.findall(r"(\S+)\|safe", path.read_text(encoding="utf-8"))
             assert all(each == "svg" or each.endswith('"') for each in marked), path

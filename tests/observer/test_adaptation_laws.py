@@ -148,6 +148,7 @@ def test_method_finds_the_true_parameters(method, plant, names, limit):
 DELAYED = ("kreisselmeier", "kreisselmeier_position")  # find a delay, so that nothing else is wrong
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", ["rls", *DELAYED])
 def test_a_shift_of_the_input_by_one_sample_is_found(method):
     data = record("S")
@@ -161,6 +162,7 @@ def test_a_shift_of_the_input_by_one_sample_is_found(method):
 FAST = [("kreisselmeier", STEP1, 25.0), ("martinez_poznyak", STEP2, 3.0), ("drem", STEP2, 5.0)]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("method", "names", "seconds"), FAST)
 def test_fast_laws_settle_fast(method, names, seconds):
     late = errors(method, record("S"), names)[round(seconds / STEP) :]
@@ -184,6 +186,7 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method, names):
     assert wrong > 1.5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("method", "names", "seconds"),
     [
@@ -463,6 +466,7 @@ def test_bristle_damping_drives_drem_to_its_bounds():
     )
 
 
+@pytest.mark.sampled(3)
 def test_an_error_of_b_hurts_mixing_most_and_the_switching_observer_least():
     data = record("S")
     laws = ("drem", "besancon", "martinez_poznyak")
