@@ -20,7 +20,7 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.model.compiler import FLAGS_VARIABLE
 
-ONE_SLOW_IN = 64  # of all slow tests, a share has one in so many
+ONE_SLOW_IN = 32  # of all slow tests, a share has one in so many
 SCENARIO = """
 duration = "1 s"
 [plant]
@@ -105,10 +105,14 @@ def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.I
 
     Of the sets of a test with `sampled(n)`, of all slow tests, and of the other tests of a file,
     one in so many is: those whose place has one remainder, which the share and the name of the
-    group draw. Of several sets at least one is; a test without sets is in one of n shares.
+    group draw. Of several sets at least one is; a test without sets is in one of n shares. What
+    is long is in no share.
     """
+    left_out = {item for item in items if item.get_closest_marker("long")}
     groups: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
+        if item in left_out:
+            continue
         file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
         if item.get_closest_marker("slow"):
             group = ("slow", ONE_SLOW_IN)
@@ -117,7 +121,6 @@ def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.I
         else:
             group = (file, one_in)
         groups.setdefault(group, []).append(item)
-    left_out = set()
     for (name, n), group_items in groups.items():
         several = "[" in group_items[0].nodeid or "::" not in name
         drawn = crc32(f"{share} {name}".encode()) % (min(n, len(group_items)) if several else n)

@@ -112,7 +112,7 @@ def scores(content: dict[str, Any], plant: str, order: int) -> dict[str, float]:
     return {name: row[name] for name in harness.COMPARED}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("plant", ["S", "L0"])
 @pytest.mark.parametrize(
     ("order", "linear", "coulomb"), [(1, (2.0, 2.7), (0.13, 0.25)), (2, (3.4, 4.4), (0.25, 0.45))]
@@ -133,7 +133,7 @@ def test_the_printed_percentage_is_what_no_friction_reaches(
     assert found["floor"] < found["repaired"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_printed_gains_miss_and_the_others_find_the_parameters(whole: dict[str, Any]) -> None:
     found = whole["estimates"]["S"]
     printed = {
@@ -151,7 +151,7 @@ def test_printed_gains_miss_and_the_others_find_the_parameters(whole: dict[str, 
     assert 75 < whole["vc_heuristic_deg_s"] < 110
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_remark_3_holds_for_all_but_the_printed_gains(whole: dict[str, Any]) -> None:
     low, high = whole["remark3"]["interval"]
     assert (low, high) == pytest.approx((1000 / 9, 200.0))
@@ -160,7 +160,7 @@ def test_remark_3_holds_for_all_but_the_printed_gains(whole: dict[str, Any]) -> 
         assert row["printed"] is None or not low < row["printed"] < high
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_table_of_the_documentation_is_that_of_the_page(whole: dict[str, Any]) -> None:
     """Each number of the table in docs/reproduce.md, to its last digit; tiny ones, which vary with
     the platform, have a limit.

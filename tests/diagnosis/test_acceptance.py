@@ -502,7 +502,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", list(FORMS))
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     """And only where the records call for it; what is left then is what the right form leaves."""
     bending = effect(name).shape_parameters
@@ -522,7 +522,7 @@ def test_every_form_is_tried():
     assert set(FORMS) == {name for name in SHIPPED if effect(name).shape_starts}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_exhaustive_search_finds_what_a_quick_one_does_not(case):
     """A shaft that two start values and few steps miss by thousands of nats; the poor fit is
     noticed.
@@ -556,7 +556,7 @@ def test_an_effect_may_be_given_start_values_and_all_effort(case):
     assert propose_effect(context, ["compliance"], QUICK).said.outcome == "added"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_contact_is_found_because_its_load_is_initialised(case):
     """From start values that are far off, in few steps, nearly as well as from the truth: unless
     the load is placed, 15 % worse.

@@ -25,7 +25,7 @@ from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
 
-pytestmark = pytest.mark.slow  # the diagnosis that most of them look at
+pytestmark = pytest.mark.long  # the diagnosis that most of them look at
 
 
 @pytest.fixture(scope="module")

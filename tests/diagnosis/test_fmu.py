@@ -38,7 +38,7 @@ def said(found, *words):
     assert any(all(word in line for word in words) for line in found.findings), found.findings
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_fmu_lacks_is_named(model, records):
     fmu = obtain("plant", law="coulomb", parameters=SERVO)
     found = diagnose_fmu(fmu, model, records("gravity"))
@@ -49,7 +49,7 @@ def test_what_the_fmu_lacks_is_named(model, records):
     said(found, "a servo with coulomb friction follows")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_fmu_without_fault_agrees_though_the_servo_follows_it_no_closer_than_the_sensor_sees(
     model, measured
 ):
@@ -66,7 +66,7 @@ def test_an_fmu_without_fault_agrees_though_the_servo_follows_it_no_closer_than_
     assert "agrees with the records: rms" in found.statement[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_a_model_that_comes_near_the_fmu_nothing_is_named(model, records):
     fmu = obtain(
         "plant", law="coulomb", effects=("gravity",), parameters=SERVO | {"gravity.amplitude": 0.3}
@@ -76,7 +76,7 @@ def test_without_a_model_that_comes_near_the_fmu_nothing_is_named(model, records
     assert "Give a MODEL.toml with the FMU's own friction law, effects" in found.statement[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_effects_of_the_fmu_are_not_named_and_its_wrong_parameter_is_reported(tree, records):
     model = Model.from_dict(tree | {"effects": {"gravity": {"amplitude": 0.3, "phase": 0.0}}})
     off = SERVO | {"coulomb.Fc": 0.09, "gravity.amplitude": 0.3}
@@ -88,7 +88,7 @@ def test_effects_of_the_fmu_are_not_named_and_its_wrong_parameter_is_reported(tr
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records):
     found = diagnose_fmu(
         obtain("plant", law="coulomb", parameters=SERVO | {"J": 0.15, "a2": 0.3}),

@@ -180,7 +180,7 @@ def test_what_counts_as_right(
 
 
 @pytest.mark.parametrize("what", ["gravity", "noise_only"])
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_case_is_diagnosed_and_scored(
     scorer: ModuleType, answers: dict[str, Any], tmp_path: Path, what: str
 ) -> None:

@@ -73,7 +73,7 @@ def test_what_is_logged_as_fast_as_the_drive_works_is_not_asked(model, logged):
     assert estimate_input_share(replace(dataset, input_may_change=True), base) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_missing_is_named_alone_once_the_input_is_right(model, logged):
     """The base fit without it hides the input's delay; it comes to light when the effect is
     added.

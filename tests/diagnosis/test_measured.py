@@ -27,7 +27,7 @@ from bristle.diagnosis.validation.long_simulation import (
     refit_growing,
 )
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 _PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
 _spec = importlib.util.spec_from_file_location("measured", _PATH)
 assert _spec is not None

@@ -69,7 +69,7 @@ def test_a_pair_of_log_files_gives_a_model_that_reads_them(name, pairs, tmp_path
         assert model.bounds[full] == (rough.low, rough.high)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["german spreadsheet", "MATLAB 7.3"])
 def test_a_diagnosis_takes_the_proposal_as_it_is(name, pairs, tmp_path):
     paths = pairs(name)

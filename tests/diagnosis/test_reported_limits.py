@@ -120,7 +120,7 @@ def found_by(made, name):
     return candidate, found.null, found.base
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["bias", "gain_asymmetry"])
 def test_a_simulated_effect_is_detected_from_its_limit_on(case, name):
     """The records without it set the limit; then they are simulated with more, and with less."""

@@ -40,7 +40,7 @@ def numbers(answer: Diagnosis) -> list[float]:
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_answer_is_the_same_for_any_number_of_jobs(model: Model, measured: Any) -> None:
     one, three = (found(model, measured, SearchOptions(jobs=jobs)) for jobs in (1, 3))
     assert one.verdict == three.verdict == "named"
@@ -48,7 +48,7 @@ def test_the_answer_is_the_same_for_any_number_of_jobs(model: Model, measured: A
     assert np.array_equal(numbers(one), numbers(three))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
     model: Model, measured: Any
 ) -> None:
@@ -83,7 +83,7 @@ class Ticks:
         return self.now
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_being_tried_ends_with_the_budget(
     model: Model, measured: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,7 +67,7 @@ def found_in(model, missing):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_torque_of_no_name_is_found_with_its_band_and_helps_on_another_record(model, answer):
     found, base, other = found_in(model, wave)
     assert found.offered
@@ -92,7 +92,7 @@ def test_a_torque_of_no_name_is_found_with_its_band_and_helps_on_another_record(
     assert short[1] < 0.5 * short[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_nothing_is_missing_nothing_is_offered(model):
     found, _, _ = found_in(model, lambda v: 0.0)
     assert not found.offered

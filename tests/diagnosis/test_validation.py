@@ -105,7 +105,7 @@ def test_the_errors_of_a_wrong_model_are_those_of_its_simulation(records):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_fmu_has_the_errors_of_the_model_it_was_made_from(records):
     """Both wrong by the same friction: measured was a servo with more of it."""
     wrong = obtain("plant", law="coulomb", effects=("bias",), parameters=model(Fc=0.1).settings())

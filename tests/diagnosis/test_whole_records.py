@@ -206,7 +206,7 @@ def test_starts_are_fitted_but_not_parameters():
 
 
 # -- the answer ------------------------------------------------------------------------------------
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_diagnosis_reports_whole_records(case):
     made = case("bias")
     found = diagnose(made.model, made.records)

@@ -148,7 +148,7 @@ def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(
     call: Call, plain: list[Columns]
 ) -> None:
@@ -189,7 +189,7 @@ TIGHT = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(
     call: Call, plain: list[Columns], search_among: Callable[..., None]
 ) -> None:
@@ -216,7 +216,7 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bound_that_the_base_refit_ends_at_is_said(
     call: Call, measured: Callable[..., Any]
 ) -> None:
@@ -234,7 +234,7 @@ def test_a_bound_that_the_base_refit_ends_at_is_said(
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     measured: Callable[..., Any], model: Model, tmp_path: Path
 ) -> None:
@@ -263,7 +263,7 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     assert again.gap.before == pytest.approx(first.gap.after, rel=0.4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_linear_axis_has_nothing_that_turns(
     measured: Callable[..., Any], tree: dict[str, Any], search_among: Callable[..., None]
 ) -> None:
@@ -292,7 +292,7 @@ def test_a_linear_axis_has_nothing_that_turns(
     assert not any("in a turn" in said(view.label) for view in found.where)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_any(
     measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -324,7 +324,7 @@ LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
     ],
 )
 @pytest.mark.usefixtures("few")
-@pytest.mark.slow
+@pytest.mark.long
 def test_any_law_input_and_output(
     friction: str,
     own: dict[str, float],

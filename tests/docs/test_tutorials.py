@@ -42,7 +42,7 @@ def test_all_seven_are_there():
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES)
 def test_the_commands_print_what_the_page_shows(page):
     text = (DOCS / "tutorials" / page).read_text(encoding="utf-8")
