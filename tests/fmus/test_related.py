@@ -124,6 +124,7 @@ def test_fmpy_meets_the_reference_with_the_stimuli_of_the_file(tmp_path):
         assert np.ptp(expected[name]) > 0
 
 
+@pytest.mark.slow
 def test_an_fmu_for_other_machines_has_no_experiment_and_says_so_in_the_manifest(tmp_path):
     pytest.importorskip("ziglang", reason="ziglang is not installed (bristle[cross])")
     files = content(build("controller", tmp_path / "win.fmu", platforms="win64"))
