@@ -279,7 +279,7 @@ def _switch(work: Path, out: Path, names: Sequence[str]) -> None:
 
 
 def _journal(work: Path) -> tuple[list[str], list[str]]:
-    """Return the names of what is put into its place and of what goes; both are inside it."""
+    """Return the names of what is put into place and of what goes, all inside the folder."""
     path = work / JOURNAL
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Measured records against a model: where they disagree, and the model with what is missing."""
+"""Measured records against a model: where they disagree, what is missing, the model with it."""
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Diagnosis, Validation

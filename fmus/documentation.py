@@ -29,6 +29,12 @@ def _row(x: Exposed) -> list[str]:
     return [x.name, variable.unit, start, interval, variable.description, source]
 
 
+def _step_errors() -> list[list[str]]:
+    """Return the measured errors of the plant by the communication step, columns' names first."""
+    table = (files("bristle.fmus") / "plant" / "steps.csv").read_text(encoding="utf-8")
+    return list(csv.reader(table.splitlines()))
+
+
 def documentation(interface: Interface) -> str:
     """Return a page with a table of all variables, and what a host has to know of communication
     steps.
@@ -39,8 +45,6 @@ def documentation(interface: Interface) -> str:
         for title, causalities in PAGE_SECTIONS.items()
         if (variables := interface.of(*causalities))
     }
-    # measured errors of the plant, by the communication step
-    errors = (files("bristle.fmus") / "plant" / "steps.csv").read_text(encoding="utf-8")
     return render(
         "bristle.fmus/documentation.html",
         name=program.name,
@@ -52,5 +56,5 @@ def documentation(interface: Interface) -> str:
         sample_time=SAMPLE_TIME.name,
         period=interface.sample_time,
         continuous=interface.continuous,
-        steps=list(csv.reader(errors.splitlines())),
+        steps=_step_errors() if interface.continuous else [],
     )

@@ -54,7 +54,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Outputs of each segment (n, len(outputs)), before each step, and how it was restarted."""
+    """Outputs of each segment (n, len(outputs)) before each step, and the way of restarting."""
 
     outputs: tuple[Array, ...]
     way: str

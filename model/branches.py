@@ -56,8 +56,9 @@ def arranged(
             out += plain
         else:
             condition, members = _next_branch(left, done, guards)
-            names = {line.name: None for line in members}  # in order
-            shown = [name for name in names if name in wanted or not users[name] <= names.keys()]
+            names = [line.name for line in members]
+            own = set(names)
+            shown = [name for name in names if name in wanted or not users[name] <= own]
             within = arranged(members, shown, inside | {condition})
             out.append(Branch(condition, tuple(within), tuple(shown)))
             plain = members

@@ -122,6 +122,7 @@ def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.I
             group = (file, one_in)
         groups.setdefault(group, []).append(item)
     for (name, n), group_items in groups.items():
+        # only a single test without sets may be drawn by no remainder
         several = "[" in group_items[0].nodeid or "::" not in name
         drawn = crc32(f"{share} {name}".encode()) % (min(n, len(group_items)) if several else n)
         left_out.update(item for k, item in enumerate(group_items) if k % n != drawn)
