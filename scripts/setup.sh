@@ -35,7 +35,7 @@ stamp="$venv/installed-${extras:-core}"
 if [ ! -e "$stamp" ] || [ pyproject.toml -nt "$stamp" ]; then
     echo "installing bristle${extras:+[$extras]} into ${venv#"$root/"}" >&2
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "setuptools>=77" wheel
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-build-isolation -e ".${extras:+[$extras]}"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-build-isolation -e ".${extras:+[$extras]}"  # what is imported is compiled then
     touch "$stamp"
 fi
 export PATH="$venv/bin:$PATH"

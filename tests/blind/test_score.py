@@ -108,7 +108,7 @@ def test_few_intervals_that_all_cover_the_truth_are_not_too_wide() -> None:
     assert "95 % intervals that cover the truth, own form" not in unmet(perfect()[:6])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("group", "allowed", "change", "goal"),
     [

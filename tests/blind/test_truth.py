@@ -114,7 +114,7 @@ def test_a_delay_shifts_the_motion() -> None:
     np.testing.assert_allclose(push(0.3, input_delay_delay=0.0105), late, atol=1e-4)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_without_effect_the_gap_ratio_is_one_and_it_grows_with_strength(scene: Scene) -> None:
     ratios = []
     for amplitude in (0.0, 0.004, 0.012):
@@ -124,14 +124,14 @@ def test_without_effect_the_gap_ratio_is_one_and_it_grows_with_strength(scene: S
     assert ratios[0] < 0.7 * ratios[1] < 0.2 * ratios[2]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_wrong_truth_spoils_the_ratio(scene: Scene) -> None:
     """The floor is that of the right truth only."""
     fields = {"cogging_amplitude": 0.01, "cogging_periods": 7.0}
     assert measure(scene.records(fields), scene.plant())[0].ratio < 1.1
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_strength_is_found_for_a_ratio(scene: Scene) -> None:
     quiet = scene.records()
     shape = EFFECTS["gravity"](np.random.default_rng(3), Setting(scene, quiet, False))

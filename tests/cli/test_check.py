@@ -17,7 +17,7 @@ def only_read(path, tell):
     return [dict(zip(("id", "verdict", "findings"), row, strict=True)) for row in rows]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_command_says_which_points_fail(call, tmp_path, monkeypatch):
     code, out, _ = call("check", obtain("controller"))
     assert code == 0

@@ -112,7 +112,7 @@ def one_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
         assert word in lines[0]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_errors_are_2_and_one_line(cli: Cli, inside: Cli, case: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     one_line(cli("run", tmp_path / "nowhere.toml", "--out", out), "nowhere.toml", "No such file")
@@ -292,7 +292,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
     assert all(line.endswith(".") and not line.endswith("...") for line in listed if line)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_deprecated_keys_are_one_line(cli: Cli, tmp_path: Path) -> None:
     rows = [f"{0.001 * k},{math.sin(0.02 * k)},{math.cos(0.01 * k)}" for k in range(500)]
     (tmp_path / "r.csv").write_text("\n".join(["t,u,y", *rows]))
@@ -396,7 +396,7 @@ def test_a_scenario_of_a_plugin_folder_is_found_by_its_name(
         find_scenario(Path("quick"))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Path) -> None:
     done = cli("run", tmp_path / "nowhere.toml", "--out", tmp_path, "--debug")
     assert done.returncode == 2
@@ -425,7 +425,7 @@ def test_only_what_a_scenario_names_is_compiled_and_told_once(case: Path, tmp_pa
     assert sorted(equations) == ["model_bastin_gevers", "model_controller", "model_modified"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_list_compiles_nothing(tmp_path: Path) -> None:
     environment = {**os.environ, "BRISTLE_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

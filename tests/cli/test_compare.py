@@ -72,7 +72,7 @@ def test_a_rerun_is_the_same_and_a_change_is_not(
         assert row["pass"] or row["share"] > 1 or row["why"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_failed_verdict_is_kept_and_is_1(call: Call, case: Path, tmp_path: Path) -> None:
     code, out, _ = call("accept", case, "--out", tmp_path / "kept", "--set", "checks.0.min=1e6")
     assert code == 1
@@ -80,7 +80,7 @@ def test_a_failed_verdict_is_kept_and_is_1(call: Call, case: Path, tmp_path: Pat
     assert (tmp_path / "kept/case/signals.npz").is_file()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
     call: Call, case: Path, kept: Path, tmp_path: Path
 ) -> None:
@@ -105,7 +105,7 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
     assert os.listdir(tmp_path / "taken/case") == ["notes.txt"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_baseline_is_renewed_but_no_run_takes_its_place(
     call: Call, case: Path, kept: Path
 ) -> None:
@@ -116,7 +116,7 @@ def test_a_baseline_is_renewed_but_no_run_takes_its_place(
     assert "is no result folder of bristle" in err
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_empty_file_of_a_baseline_is_one_line(call: Call, kept: Path) -> None:
     (kept / "signals.npz").write_bytes(b"")
     code, _, err = call("compare", kept, kept)

@@ -69,7 +69,7 @@ def test_all_names_of_the_catalogues_are_offered(
     assert complete_scenario("") == list(scenarios())
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("line", "offered"),
     [

@@ -97,7 +97,7 @@ def test_it_prints_the_result_and_the_path_of_the_report(
     assert set(os.listdir(tmp_path / "out")) == {*export.WRITTEN_FILES} - {export.EXPERIMENT_FILE}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", ["tie", "none", "not_identifiable", "proposals"])
 def test_whatever_it_finds_it_completed(
     call: Call, asked: dict[str, Any], tmp_path: Path, case: str
@@ -116,7 +116,7 @@ def test_whatever_it_finds_it_completed(
     assert ("give --choose: bias, asymmetric_coulomb" in said) == (case == "tie")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_it_says_why_nothing_was_filled(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     code, said, error = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--fill")
     assert (code, error) == (0, "")
@@ -128,7 +128,7 @@ def test_it_says_why_nothing_was_filled(call: Call, asked: dict[str, Any], tmp_p
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(
     call: Call, asked: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -140,7 +140,7 @@ def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(
     assert asked["arguments"] == (Path("p.fmu"), "model of m.toml", ["model of m.toml", "a.csv"])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "args",
     [
@@ -157,7 +157,7 @@ def test_data_takes_all_files_behind_it(
     assert asked["arguments"] == ("model of m.toml", ["model of m.toml", "a.csv", "b.csv", "c.csv"])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_data_takes_patterns(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     for name in ("run10.csv", "run2.csv", "run1.csv", "other.csv", "new/run3.csv", "odd[1].csv"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

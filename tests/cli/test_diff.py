@@ -7,7 +7,7 @@ import pytest
 from bristle.fmus import obtain
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_command_says_whether_one_may_take_the_others_place(call, tmp_path):
     first, second = obtain("plant"), obtain("plant", effects=("cogging",))
     assert call("diff", first, first)[:2] == (0, "no difference\n")

@@ -85,7 +85,7 @@ def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
     assert (code, "add --fmu FILE" in said) == (2, True)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

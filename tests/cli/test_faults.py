@@ -156,7 +156,7 @@ def test_a_full_standard_output(folder: Path, arguments: list[str]) -> None:
     assert (done.returncode, done.stderr) == (2, line)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("arguments", [["--version"], ["schema", "model"]])
 def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]) -> None:
     reader, writer = os.pipe()
@@ -231,7 +231,7 @@ def test_a_full_temporary_folder_is_named(
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_home_that_cannot_be_used(folder: Path) -> None:
     environment = {
         key: value
@@ -249,7 +249,7 @@ def test_a_home_that_cannot_be_used(folder: Path) -> None:
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 def test_no_memory_is_one_line(folder: Path) -> None:
     """Of the libraries some end the process themselves below that."""

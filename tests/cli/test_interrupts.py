@@ -82,7 +82,7 @@ def test_during_the_first_imports(case: Path, tmp_path: Path, module: str, numbe
     interrupted(tmp_path, module, COMMANDS["run"], number)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_at_the_beginning_of_each_command(case: Path, tmp_path: Path, name: str) -> None:
     interrupted(tmp_path, FIRST_USED.get(name, "numpy"), COMMANDS[name])

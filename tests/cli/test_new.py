@@ -164,7 +164,7 @@ print([effect.name for effect in found.effects])
     assert run(written, "-c", program, site=installed).splitlines()[-1] == "['fresh_effect']"
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_package_has_what_pip_and_a_reader_need(written):
     for kind, name in NAMES.items():
         project = tomllib.loads((written / name / "pyproject.toml").read_text(encoding="utf-8"))
@@ -186,7 +186,7 @@ def test_a_package_has_what_pip_and_a_reader_need(written):
         }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_new_scenario_runs_as_it_is(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, said, _ = call("new", "scenario", "mine", "--out", "files")

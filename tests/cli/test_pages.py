@@ -48,7 +48,7 @@ def test_a_command_refuses_the_folder_of_another_before_it_begins(
     }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_validation_replaces_its_own_page_and_a_run_no_page_of_a_validation(
     call: Call, tmp_path: Path
 ) -> None:

@@ -25,7 +25,7 @@ def scenario(tmp_path):
     return path
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_sweep_is_asked_and_reported(call, scenario, tmp_path):
     store, out = tmp_path / "store", tmp_path / "report"
     vary = (
@@ -156,7 +156,7 @@ def without_pyarrow(*arguments):
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "words", ["sweep quick --seeds 1-2 --out store", "query store SELECT", "report store"]
 )
@@ -168,7 +168,7 @@ def test_without_pyarrow_a_store_is_one_line(tmp_path, monkeypatch, words):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_without_pyarrow_a_scenario_runs(scenario, tmp_path):
     done = without_pyarrow("run", scenario, "--out", tmp_path / "out")
     assert (done.returncode, done.stdout.split()[:2]) == (0, ["one", "pass"]), done.stderr

@@ -100,7 +100,7 @@ def test_junit_says_what_cannot_be_run(call, tmp_path):
     assert not out.exists()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(call, tmp_path):
     good = tmp_path / "good.toml"
     good.write_text(SCENARIO.replace("LIMIT", "1e9"), encoding="utf-8")
@@ -128,7 +128,7 @@ def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(
     assert "good" in (tmp_path / "new" / "folder" / "j.xml").read_text(encoding="utf-8")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_files_that_are_left_out_of_a_folder_are_named(call, tmp_path):
     text = SCENARIO.replace("LIMIT", "-1")
     (tmp_path / "good.toml").write_text(text, encoding="utf-8")

@@ -131,7 +131,7 @@ def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name)
     assert not comparison.assess(plain, 0.0).accepted  # nothing added
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_segment_is_predicted_as_if_the_fit_had_been_made_without_it(case):
     """Of the segments that move the fit most, it costs about as much as a refit without each does,
     and what is not known then.
@@ -599,7 +599,7 @@ def test_an_effect_is_rejected_only_after_another_shape_was_tried(case):
     assert decided.best.fit.values["eccentric_encoder.sine2"] == pytest.approx(0.2, rel=0.25)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_effect_that_is_too_small_in_any_shape_is_rejected(case):
     made = case("bias")
     context = SearchContext(made.dataset, made.base)

@@ -65,7 +65,7 @@ def test_records_of_one_servo_agree(model: Model, run: Callable[..., Record]) ->
     assert found.values["J"] == pytest.approx({"first": 0.01, "second": 0.01}, rel=0.02)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_friction_that_differs_between_records_is_named_with_its_values(
     model: Model, run: Callable[..., Record]
 ) -> None:
@@ -79,7 +79,7 @@ def test_friction_that_differs_between_records_is_named_with_its_values(
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_halves_of_a_single_record_stand_for_records(
     model: Model, measured: Callable[..., Any]
 ) -> None:
@@ -92,7 +92,7 @@ def test_halves_of_a_single_record_stand_for_records(
     assert first < second
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_input_that_leads_by_different_times_is_seen(
     model: Model, run: Callable[..., Record]
 ) -> None:
@@ -154,7 +154,7 @@ def test_nothing_is_compared_before_bounds_are_widened(answer: Callable[[str], A
     assert np.isfinite(RecordAgreement(0.0, 1.0, {}, {}, "").level)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_record_that_says_nothing_of_a_parameter_has_no_value_of_it(
     model: Model, measured: Callable[..., Any]
 ) -> None:

@@ -145,7 +145,7 @@ def test_records_of_one_segment_with_one_average_can_be_simulated():
     assert np.isfinite(seen).all()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="names processors of this kind"
 )

@@ -113,7 +113,7 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     assert names([last], (), ()) == []
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     """And what gained before another was added shows no more beside that."""
     fitted = case(None).base

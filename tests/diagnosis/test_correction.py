@@ -194,7 +194,7 @@ def test_a_correction_needs_an_effect_and_a_drive():
         correction_program(["dead_zone"], {"dead_zone.width": -1.0})
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("names", "inputs"),
     [(("gravity", "input_delay"), ["u", "theta", "v"]), (("electrical_pole",), ["u"])],

@@ -102,7 +102,7 @@ def test_limits_are_those_of_input_rms_and_position() -> None:
     assert not LIMITS.allow_motion(np.array([-1.7, 1.9]), 0.05)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_model_does_not_lead_itself_and_a_lag_shows_in_fast_inputs(
     case: Callable[..., Any], setup: Setup
 ) -> None:
@@ -152,7 +152,7 @@ def test_the_lead_is_about_what_a_record_then_gives(case: Callable[..., Any], se
     assert 0.5 * expected < found < 2.0 * expected
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_models_that_are_the_same_are_told_apart_by_no_input(
     case: Callable[..., Any], setup: Setup
 ) -> None:
@@ -236,7 +236,7 @@ def made(**other: Any) -> DesignedInput:
     return replace(found, **other)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_file_holds_time_and_input_and_goes_with_the_next_answer(
     answer: Callable[[str], Diagnosis], tmp_path: Path
 ) -> None:

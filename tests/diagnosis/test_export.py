@@ -52,7 +52,7 @@ def written(fabricated, tmp_path_factory):
     return folder
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_nothing_else_is_left_behind(written):
     assert names(written) == sorted(WRITTEN_WITH_A_NAME)
     assert json.loads((written / "diagnosis.json").read_text())["verdict"] == "named"
@@ -132,7 +132,7 @@ def test_a_member_of_a_tie_can_be_chosen(answer):
     assert chosen.model.parameters["coulomb.Fc"] == 0.121
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("case", "choose", "words"),
     [
@@ -153,7 +153,7 @@ def test_a_choice_that_cannot_be_is_said_and_the_rest_is_written(
     assert words in html.unescape((tmp_path / "report.html").read_text())
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_model_that_cannot_be_built_costs_no_report(answer, tmp_path):
     named = answer("named")
     wild = replace(named, fitted={**named.parameters, "J": Estimate(-1.0, "kg.m2", None)})
@@ -197,7 +197,7 @@ def test_what_a_fit_leaves_out_keeps_its_default(answer):
     }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_declares_the_units_of_its_rig(answer, fabricated, tmp_path, fmi):
     slow = replace(
@@ -245,7 +245,7 @@ def test_an_fmu_declares_the_units_of_its_rig(answer, fabricated, tmp_path, fmi)
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("kind", "unit", "gain"),
     [("torque", "N.m", "1"), ("current", "A", "N.m/A"), ("voltage", "V", "N.m/V")],
@@ -343,7 +343,7 @@ max_abs = 15.0
 """
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(
     answer, fabricated, tmp_path: Path
 ):

@@ -74,7 +74,7 @@ def test_starts_from_data_lead_to_the_truth(case, name):
         assert found.fit.values[key] == pytest.approx(value, rel=0.03), key
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_step_with_a_large_predicted_gain_is_shortened_until_it_achieves_some(case):
     """From the starts of this one every full step fails; ended there, the share of the load would
     stay where it began.
@@ -123,7 +123,7 @@ def test_a_refit_from_far_off_reaches_the_optimum(case):
         assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_no_step_makes_it_worse(case):
     plain = case(None)
     best, gains = plain.base.fit, []
@@ -269,7 +269,7 @@ def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     assert still.score_at_initial[held].sum() < best.score_at_initial[held].sum() - 100
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_what_switches_is_found_from_a_value_that_is_off(case):
     """Steps along derivatives end at a small maximum near where they begin; trials around it go
     on.
@@ -326,7 +326,7 @@ def test_a_load_with_free_play_is_found_from_a_wrong_play_and_stiffness(free_pla
     assert refit_load(plain, partial(under_own_noise, backlash.dataset)) is plain
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_load_at_the_wrong_end_of_its_play_is_placed_at_the_right_one(free_play):
     """No segment is the worse for it, and the likelihood comes near what it was."""
     backlash, first = free_play
@@ -452,7 +452,7 @@ def test_a_record_without_motion_has_a_relative_error_above_one(case):
     assert relative_error(still, fit) > 1.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("low", "high", "pressed"), [(0.02, 0.05, True), (0.02, 0.3, False), (0.0797, 0.3, False)]
 )

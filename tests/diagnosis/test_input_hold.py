@@ -44,7 +44,7 @@ def begun(model, records):
     return dataset, fit_from_several_starts(dataset, *base_servo_of(model, dataset))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
     records = logged()
     found = estimate_input_share(*begun(model, records))
@@ -59,7 +59,7 @@ def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
     assert estimate_input_share(*begun(model, again)) is None  # is tested once
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [None, "bias", "input_delay", "compliance"])
 def test_an_input_that_was_held_stays(model, logged, name):
     assert estimate_input_share(*begun(model, logged(name, averaged=True))) is None

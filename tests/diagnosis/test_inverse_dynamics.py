@@ -35,7 +35,7 @@ def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
 HIDDEN = [("gravity", "amplitude", 0.3), ("cogging", "amplitude", 0.08), ("bias", "torque", 0.05)]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("name", "parameter", "true"), HIDDEN)
 def test_it_starts_near_the_truth(
     name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]
@@ -47,7 +47,7 @@ def test_it_starts_near_the_truth(
     assert values["coulomb.Fc"] == pytest.approx(0.12, rel=0.15)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_regression_gives_no_starts_where_hidden_states_matter(
     joint: Callable[..., Any], tree: dict[str, Any]
 ) -> None:

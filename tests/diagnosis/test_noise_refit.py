@@ -68,14 +68,14 @@ def asymmetric() -> tuple[Dataset, Fit]:
     return own, refit(base.problem, FitPoint(simulator, free, begin, base.fit.initial))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[Dataset, Fit]) -> None:
     _, first = asymmetric
     assert first.noise.corner < fitting.FAST_CORNER
     assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_converged_noise_and_fit_are_likelier_and_nearer_the_truth(
     asymmetric: tuple[Dataset, Fit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,7 +90,7 @@ def test_converged_noise_and_fit_are_likelier_and_nearer_the_truth(
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_converged_noise_refit_changes_nothing(asymmetric: tuple[Dataset, Fit]) -> None:
     own, first = asymmetric
     end = fitting.refit_with_noise(own, first)

@@ -53,7 +53,7 @@ def plain(folder, header="t,u,theta", change=lambda t, u, y: (t, u, y)):
     return folder / "run.csv"
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(STYLES))
 def test_a_pair_of_log_files_gives_a_model_that_reads_them(name, pairs, tmp_path):
     paths = pairs(name)

@@ -112,7 +112,7 @@ def svg_texts(svg):
     return re.findall(r"<!-- (.*?) -->", svg)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", CASES)
 def test_every_verdict_makes_one_self_contained_page(answer, case):
     diagnosis = answer(case)
@@ -166,7 +166,7 @@ def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     none = answer("none")
     unknown = replace(none, gap=replace(none.gap, noise_floor=None))
@@ -183,7 +183,7 @@ def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", ["named", "tie", "none", "not_identifiable"])
 def test_where_much_is_unexplained_the_heading_says_so_and_is_amber(answer, case):
     diagnosis = replace(answer(case), remains=Unexplained(True, "v", 0.6))
@@ -202,7 +202,7 @@ def test_the_heading_has_words_and_no_identifiers(answer, case):
     assert not re.search(r"\(|_", headline(answer(case)))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", ["named", "tie", "none"])
 def test_nats_are_explained_where_they_first_stand(answer, case):
     diagnosis = answer(case)
@@ -388,7 +388,7 @@ def test_a_name_that_stands_for_its_class_says_so(answer):
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_tied_effects_are_red_whatever_the_verdict(answer):
     named = answer("named")
     assert OTHER.lower() not in draw(named)["candidates"].lower()
@@ -497,7 +497,7 @@ def test_the_units_follow_the_input(answer, fabricated):
     assert "0.300 ± 0.020 A" in text
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_only_what_changed_has_a_before_and_an_after(answer):
     assert "after: 0.019 deg (0.000332 rad)" in svg_texts(draw(answer("named"))["gap"])
     for case in ("none", "not_identifiable"):
@@ -550,7 +550,7 @@ def test_a_name_from_outside_cannot_become_markup(answer):
     assert "a &lt; b" in page
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_figures_are_the_same_every_time(answer):
     assert draw(answer("tie")) == draw(answer("tie"))
 

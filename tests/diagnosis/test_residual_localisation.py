@@ -76,7 +76,7 @@ def test_what_follows_a_view_is_found_there(plain, view):
         assert said(found[0].label) == "9 in a turn"
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_noise_follows_nothing(plain):
     smallest = np.array(
         [min(each.p for each in seen_through(plain, seed=seed)[0]) for seed in range(20)]

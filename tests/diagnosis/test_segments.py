@@ -62,7 +62,7 @@ def simulator(segments, effects, rigid):
     return Servo("coulomb", (), BASE, (), fixed_values(H), rigid).simulator(segments, effects)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [None, *WITH])
 def test_derivatives_are_those_of_the_simulation(segments, name):
     """By every parameter and all start states, over reversals, of a servo whose friction bends a
@@ -141,7 +141,7 @@ def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
         )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_hidden_states_carry_over_from_segment_to_segment(segments):
     """The delay line of one segment reaches into the next: what came before its start is not
     forgotten.
@@ -157,7 +157,7 @@ def test_hidden_states_carry_over_from_segment_to_segment(segments):
     assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_load_with_free_play_continues_from_the_last_segment_unless_placed(segments):
     """The start of the load is returned, over half the play, and the same again when given; one
     moved leaves the others.
@@ -242,7 +242,7 @@ def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_no_reversal_amplifies_a_start():
     """Dry friction takes energy: what a start velocity moves by the end of a segment is at most
     time times velocity.

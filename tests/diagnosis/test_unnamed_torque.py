@@ -135,7 +135,7 @@ def test_one_that_does_not_help_is_not_offered_and_says_so(answer):
     assert "No unnamed torque is offered" in render(diagnosis, {}, {})
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_report_draws_it_and_calls_it_unnamed(answer):
     diagnosis = replace(answer("none"), unnamed=made_up())
     figures = draw(diagnosis)
@@ -151,7 +151,7 @@ def test_the_report_draws_it_and_calls_it_unnamed(answer):
     assert answer("none").to_dict()["unnamed_torque"] is None
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", sorted(UNNAMED_TORQUES))
 def test_it_is_the_curve_through_its_values_and_constant_beyond(name):
     """At a constant acceleration without friction, the velocity after a step gives the torque

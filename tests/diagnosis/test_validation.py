@@ -61,7 +61,7 @@ def plant():
     return obtain("plant", law="coulomb", effects=("bias",), parameters=model().settings())
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_right_model_has_no_error_on_any_horizon(records):
     found = validate(model(), records)
     assert [r.name for r in found.records] == ["run 1", "run 2"]
@@ -116,7 +116,7 @@ def test_an_fmu_has_the_errors_of_the_model_it_was_made_from(records):
     assert [s for s, _ in ours.horizons] == [s for s, _ in own.horizons]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_without_start_values_is_compared_over_whole_records(records, plant, tmp_path):
     hidden = tmp_path / "hidden.fmu"
     with zipfile.ZipFile(plant) as old, zipfile.ZipFile(hidden, "w") as new:
@@ -232,7 +232,7 @@ def test_an_fmu_with_names_and_units_of_its_own_has_the_same_errors(records, pla
         validate_fmu(renamed, replace(model(), variables={"uu": "voltage"}), records)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_event_counts_time_over_records_that_each_begin_anew(records):
     """A step at the beginning of the second record; the same records by one clock need no such
     order.

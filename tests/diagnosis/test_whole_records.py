@@ -110,7 +110,7 @@ def test_the_right_model_stays_on_the_record_wherever_it_begins():
     assert loop.error < 1e-3
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_wrong_bias_drifts_and_more_so_over_longer_horizons():
     wrong, own = TRUE | {"bias.torque": 0.015}, records(record(1))
     errors = [
@@ -138,7 +138,7 @@ def test_a_refit_finds_what_makes_the_whole_record_drift():
     assert {f.name for f in grown.fit.free} == {f.name for f in FREE}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_refit_ends_with_the_longest_horizon_that_held():
     """A pendulum that is driven over the top: how it goes on after that depends on every small
     push.

@@ -130,7 +130,7 @@ PROPOSED: dict[str, tuple[Callable[[Columns], Columns], str]] = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("what", list(PROPOSED))
 def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(
     what: str, call: Call, measured: Callable[..., Any]
@@ -170,7 +170,7 @@ def test_what_is_no_model_and_what_is_no_record_is_said(model: Model, plain: lis
             diagnose(wrong, records)  # type: ignore[arg-type]  # the wrong types are the test
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("few")
 def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[Columns]) -> None:
     (t, u, y), other = plain
@@ -358,7 +358,7 @@ def test_any_law_input_and_output(
         assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.03)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("few")
 def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards(
     model: Model, plain: list[Columns]

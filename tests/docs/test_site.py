@@ -51,7 +51,7 @@ def test_the_site_builds_strictly(tmp_path):
     assert "Glossary" in (site / "search" / "search_index.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("text", "named"),
     [

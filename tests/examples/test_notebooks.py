@@ -52,7 +52,7 @@ def test_it_is_committed_without_outputs(name):
     assert all(cell.outputs == [] and cell.execution_count is None for cell in code)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_extra_brings_what_a_fresh_environment_needs():
     """What they import; and what builds the package that one of them installs, without isolation
     and so from the environment: an old version of it may be there, or none.

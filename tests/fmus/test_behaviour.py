@@ -38,7 +38,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     return {fmi: pack(folder / f"good{fmi}.fmu", good_entries(fmi, folder)) for fmi in (2, 3)}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_good_fmu_has_no_finding(fmi: int, good: dict[int, Path]) -> None:
     results = conformance(good[fmi])
@@ -52,7 +52,7 @@ def test_a_good_fmu_has_no_finding(fmi: int, good: dict[int, Path]) -> None:
     assert set(BEHAVIOUR) <= {r.point.id for r in results}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_each_mutant_is_found_by_the_point_made_for_it(good: dict[int, Path]) -> None:
     rows = judged(
         [Task(good[fmi], point, {"MUTANT": name}) for name, fmi, point in BEHAVIOUR_MUTANTS]
@@ -69,7 +69,7 @@ def test_every_point_has_a_mutant() -> None:
     assert {point for _, _, point in BEHAVIOUR_MUTANTS} == set(BEHAVIOUR)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("mutant", "words"),
     [
@@ -85,7 +85,7 @@ def test_a_crash_or_a_hang_is_a_finding(
     assert (row["verdict"], row["findings"]) == (Verdict.failed, [words])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_points_without_forks(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """As on Windows, where each point has a process of its own from the start."""
     monkeypatch.delattr("os.fork")
@@ -105,7 +105,7 @@ def test_what_is_not_claimed_is_not_applicable(good: dict[int, Path], tmp_path: 
     assert "does not claim" in row["findings"][0]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_where_its_life_fails_nothing_more_is_tested(
     good: dict[int, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,7 +134,7 @@ def test_model_exchange_alone(good: dict[int, Path], tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_without_a_library_for_this_machine_is_not_tested(
     good: dict[int, Path], tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ def failed(path: Path) -> set[str]:
     return {r.point.id for r in static_conformance(path) if r.verdict is Verdict.failed}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_good(fmi, entries, tmp_path):
     assert failed(pack(tmp_path / "good.fmu", entries[fmi])) == set()

@@ -45,7 +45,7 @@ def test_ten_thousand_draws_from_one():
     assert state == 1043618065
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_rms_before_clipping(order):
     """Over 12 seeds of 500 s the mean square is that asked for; its standard error follows from the
@@ -84,7 +84,7 @@ def test_the_start_is_stationary(order):
     assert np.all(np.abs(starts.mean(axis=0)) < 4.0 * starts.std(axis=0) / math.sqrt(2000))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_seeds_give_unrelated_references(order):
     """Also neighbouring seeds, whose plain streams would be small multiples of each other
@@ -215,7 +215,7 @@ def followed(friction, estimates, seconds=40.0, late=0, order=2.0):
     return float(np.sqrt(np.mean(np.square(errors[n // 2 :]))))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_a_known_linear_servo_follows_its_reference(order):
     """Also one whose acceleration is white noise. The same voltage one sample later leaves twenty
@@ -230,7 +230,7 @@ def test_a_known_linear_servo_follows_its_reference(order):
     assert late > 10 * right
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_known_friction_is_compensated():
     linear = {name: TRUE[name] for name in ("alpha2", "b")}
     alone, without, coulomb, whole = (
@@ -294,7 +294,7 @@ def test_absurd_estimates_leave_every_output_finite():
             assert np.isfinite(found).all()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "wrong", [{"b": 2.0}, {"b": 20.0}, {"Fc": 20.0}, {"Fc": -4.0}, {"alpha2": 40.0}, {"load": 5.0}]
 )

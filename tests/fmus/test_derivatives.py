@@ -94,7 +94,7 @@ def exact_jacobian(interface, x, inputs):
     return np.array(out).reshape(-1, len(x) + len(inputs))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_derivatives_are_the_jacobian(lean):
     """Columns of the directional derivative, in Model Exchange, against CasADi's Jacobian and
     finite differences.

@@ -55,7 +55,7 @@ def test_the_validator_finds_nothing(built, case):
     assert validate_fmu(str(built(case[0], **case[1]).path)) == []
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_validator_would_find_something(built, tmp_path):
     """A description without the unknowns of the initialization is found out."""
     source = built("plant").path

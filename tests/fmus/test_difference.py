@@ -120,7 +120,7 @@ def test_a_parameter_that_may_no_longer_be_tuned_breaks_its_host(plant, tmp_path
     assert [d.change for d in of_interface(plant, tunable)] == [Change.addition]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_does_not_differ_from_itself_and_other_start_values_show_in_the_outputs(
     plant, tmp_path
 ):
@@ -131,7 +131,7 @@ def test_an_fmu_does_not_differ_from_itself_and_other_start_values_show_in_the_o
     assert (default.change, default.place, others) == (Change.default, "parameter J", [])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_another_behaviour_is_named_with_its_time(built, plant):
     found = fmu_differences(plant, Fmu(built("plant", effects=("cogging",)).path, foreign=True))
     by_place = {d.place: d.text for d in found if d.change is Change.behaviour}
@@ -140,7 +140,7 @@ def test_another_behaviour_is_named_with_its_time(built, plant):
     assert not [d for d in found if d.change in (Change.breaking, Change.default)]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_that_cannot_run_differs(plant, tmp_path):
     empty = tmp_path / "empty.fmu"
     with ZipFile(plant.path) as old, ZipFile(empty, "w") as new:

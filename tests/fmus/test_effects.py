@@ -15,7 +15,7 @@ from bristle.plant.effects import effect
 H = 1e-3
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("law", "effects", "fmi", "kind"),
     [
@@ -52,7 +52,7 @@ def test_effects_belong_to_the_plant():
         obtain("observer", effects=("bias",))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_parameters_of_effects_are_described_in_the_fmu():
     for fmi, kind in ((2, "native"), (3, "native"), (2, "python")):
         fmu = Fmu(obtain("plant", law="lugre", effects=("cogging", "back_emf"), fmi=fmi, kind=kind))
@@ -68,7 +68,7 @@ def test_parameters_of_effects_are_described_in_the_fmu():
         )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_plant_of_one_smooth_law_has_an_encoder_where_that_is_asked_for():
     lean, full = (
         Fmu(obtain("plant", law="lugre", effects=("bias",), encoder=encoder))
@@ -80,7 +80,7 @@ def test_a_plant_of_one_smooth_law_has_an_encoder_where_that_is_asked_for():
     assert full.description.modelExchange is None
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_without_a_law_the_plant_has_all_laws_that_the_effects_can_join():
     fmu = Fmu(obtain("plant", effects=("presliding",)))
     assert "coulomb" in fmu.choices("law")

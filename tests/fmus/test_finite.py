@@ -36,7 +36,7 @@ def selectors(fmu):
     return [(found[0].name, k) for k in range(1, int(found[0].max) + 1)] if found else [None]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
     "case", CASES, ids=lambda case: "-".join([case[0], *map(str, case[1].values())])

@@ -49,7 +49,7 @@ def run(raw, handle, what, outputs, first, last):
     return np.array(rows).tobytes()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_reset_gives_a_fresh_instance_from_every_state(built, Raw, case):
     """Ten lifecycles, each abandoned somewhere else; what comes after a reset is bitwise what a new
@@ -183,7 +183,7 @@ def test_a_state_keeps_mode_and_parameters(built, Raw):
 # -- steps -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "law", ["lugre", "elastoplastic", "gms", "leuven", "modified", "viscous", "coulomb"]
 )
@@ -264,7 +264,7 @@ def resident():
     return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]) * 4096
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.skipif(
     not Path("/proc/self/statm").exists(), reason="needs /proc to read the memory in use"
 )

@@ -23,7 +23,7 @@ from bristle.model.compiler import find_compiler
 NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "options",
     [
@@ -96,7 +96,7 @@ def test_no_trace_of_the_building_machine(built, what, fmi):
                 assert trace.encode() not in content, (path, trace)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("what", "fmi"),
     [*NATIVE[:-1], pytest.param(*NATIVE[-1], marks=pytest.mark.slow), ("lean", 2), ("lean", 3)],

@@ -98,7 +98,7 @@ def test_native_and_python_agree(built, what):
             slave.free()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_native_and_python_agree_in_closed_loop(built):
     """Controller and servo with LuGre friction over 20 s: the loop would amplify a difference."""
     ends = []

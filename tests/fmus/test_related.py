@@ -43,7 +43,7 @@ def content(path):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_every_fmu_says_how_it_can_be_tried(made):
     files = content(made)
     root = ET.fromstring(files[FOLDER + "fmi-ls-manifest.xml"])

@@ -22,7 +22,7 @@ GIVEN = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
 def test_the_fmu_starts_with_what_was_given(fmi, kind):
     path = str(

@@ -168,7 +168,7 @@ def test_every_method_says_what_it_is(name):
     assert len(method.description.split()) >= 2
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_every_source_in_a_docstring_is_in_the_references():
     sources = docstring_sources()
     assert len(sources) > 15

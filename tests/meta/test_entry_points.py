@@ -172,7 +172,7 @@ def test_an_error_in_equations_names_package_and_line(package, message):
     assert "no symbol 'Fd'" in text
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_key_of_an_fmu_depends_on_the_code_of_the_package(package):
     path = package("effect", "outside")
     first, plain = (

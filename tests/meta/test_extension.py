@@ -192,7 +192,7 @@ def test_a_file_that_does_not_load_is_refused_with_its_name(monkeypatch, tmp_pat
         laws()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_scenario_takes_the_fmu_of_a_plugin_alone(written, monkeypatch):
     """The observers that are shipped take a minute to compile, and would again with each change of
     the file.

@@ -200,7 +200,7 @@ def wheel(tmp_path_factory):
     return built
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_wheel_holds_every_file_of_every_room(wheel):
     """Modules, C templates, readmes, style sheets, scenarios: what is in a room's folder is in the
     wheel.

@@ -37,7 +37,7 @@ def test_default_tolerance_meets_the_limits_with_margin(reference, closed_loop, 
         assert np.sum(np.diff(stuck.astype(int)) == 1) >= 3  # stops again and again
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_looser_tolerance_is_not_enough(reference, closed_loop):
     plant, make = reference.REFERENCE_PLANTS["T"], reference.scenarios("T", LENGTH)["stick-slip"]
     expected, _ = reference.solve(plant, make(), LENGTH)
@@ -45,7 +45,7 @@ def test_a_looser_tolerance_is_not_enough(reference, closed_loop):
     assert np.any(relative_error(found, expected) > LIMITS)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SETS)
 def test_the_reference_agrees_with_radau(reference, name):
     plant, n = reference.REFERENCE_PLANTS[name], 60

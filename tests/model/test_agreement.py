@@ -76,7 +76,7 @@ def test_three_arithmetics_agree_over_20_seconds(name):
     assert native.steps == python_steps == symbolic_steps
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_selected_law_in_the_large_program_equals_the_lean_one():
     whole, u = servo_program(), voltages(3.0, seed=5)[:2000]
     for name in laws():

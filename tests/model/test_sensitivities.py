@@ -50,7 +50,7 @@ def setting(law):
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("law", list(LAWS))
 def test_sensitivities_equal_central_differences_of_the_whole_run(law):
     names, n = LAWS[law], 1500

@@ -138,7 +138,7 @@ CASES = [  # limits of about twice what was measured
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("method", "plant", "names", "limit"), CASES)
 def test_method_finds_the_true_parameters(method, plant, names, limit):
     final = errors(method, record(plant), names)[-1]
@@ -148,7 +148,7 @@ def test_method_finds_the_true_parameters(method, plant, names, limit):
 DELAYED = ("kreisselmeier", "kreisselmeier_position")  # find a delay, so that nothing else is wrong
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["rls", *DELAYED])
 def test_a_shift_of_the_input_by_one_sample_is_found(method):
     data = record("S")
@@ -162,14 +162,14 @@ def test_a_shift_of_the_input_by_one_sample_is_found(method):
 FAST = [("kreisselmeier", STEP1, 25.0), ("martinez_poznyak", STEP2, 3.0), ("drem", STEP2, 5.0)]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("method", "names", "seconds"), FAST)
 def test_fast_laws_settle_fast(method, names, seconds):
     late = errors(method, record("S"), names)[round(seconds / STEP) :]
     assert np.max(np.abs(late)) < 5.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "names"),
     [
@@ -186,7 +186,7 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method, names):
     assert wrong > 1.5
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "names", "seconds"),
     [
@@ -466,7 +466,7 @@ def test_bristle_damping_drives_drem_to_its_bounds():
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_error_of_b_hurts_mixing_most_and_the_switching_observer_least():
     data = record("S")
     laws = ("drem", "besancon", "martinez_poznyak")

@@ -86,7 +86,7 @@ def test_the_fit_is_the_least_squares_and_white_noise_has_its_textbook_deviation
     assert np.all(valid == 1)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("pole", "least"), [(0.0, 0.9), (0.98, 0.85)], ids=["white", "coloured"])
 def test_two_deviations_cover_the_truth(pole, least):
     """Also where errors are alike over 50 samples and nobody says so."""
@@ -194,7 +194,7 @@ CASES = [
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", JUDGED)
 def test_what_is_valid_is_right(method):
     wrong = {}
@@ -226,7 +226,7 @@ def test_good_records_make_everything_valid(method, name):
     assert max(errors.values()) < 1.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", JUDGED)
 def test_load_and_delay_are_found(method):
     for name in ("constant torque 10 %", "constant torque 50 %"):

@@ -145,7 +145,7 @@ def earlier(data):
 # -- Approach I, filtered --------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "order", "limit", "since", "meanwhile"),
     [
@@ -180,7 +180,7 @@ def given(method: str) -> dict[str, float]:
     return {f"{method}.{name}": SET_S[name] for name in ("alpha2", "b")}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "order", "limit"), [("swapped_known", 1, 0.8), ("swapped_position_known", 2, 2.0)]
 )
@@ -224,7 +224,7 @@ def entries(free):
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("plant", "tolerance"), [("S", 2e-5), ("L0", 4e-3)])
 def test_the_recursion_is_the_batch_least_squares_of_eight_parameters(plant, tolerance):
     data, cutoff, memory = closed_loop(plant, 1), 20.0, 100.0
@@ -381,7 +381,7 @@ def test_what_is_for_a_piecewise_linear_input_fails_with_a_held_one_and_the_othe
 # -- the original LuGre law ------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("plant", "order", "truth"), [("L0", 1, L0), ("L0", 2, L0), ("stiff", 2, STIFF)]
 )

@@ -159,7 +159,7 @@ def test_the_prediction_carries_the_covariance_by_the_slope_of_the_step():
 # -- what they find --------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("order", [1, 2])
 def test_it_starts_itself_and_finds_all_six_from_the_encoder(order):
     rows = observed(BEST, record("S", 60.0, order), [f"{BEST}.starts"])
@@ -176,7 +176,7 @@ def test_what_it_starts_from_does_not_matter():
         assert np.max(100 * np.abs(end / SET_S - 1)) < 2.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_it_finds_a_delay_of_the_measurement_and_of_none():
     """The true delay is known; a filter that takes it as zero is off by percents and says that its
     estimates do not count.
@@ -196,7 +196,7 @@ def test_it_finds_a_delay_of_the_measurement_and_of_none():
     assert deaf[-1, 8] == 0.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["rls", "swapped_position", "self_starting_ekf"])
 @pytest.mark.parametrize("samples", [2, 2.5])
 def test_a_delay_that_is_declared_costs_no_accuracy(method, samples):
@@ -224,7 +224,7 @@ def test_an_input_that_comes_too_late_is_no_delay_and_makes_nothing_valid():
     assert rows[-1, 7] > 4.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("share", [0.02, 0.5])
 def test_it_finds_a_constant_load_torque_and_its_step(share):
     """J v' = b u + tau_load - F - a2 v: the load over the inertia is `share` of Fc = 4 rad/s2, from
@@ -243,7 +243,7 @@ def test_it_finds_a_constant_load_torque_and_its_step(share):
         assert settled(rows) < begin + 10.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_rest_teaches_nothing_and_spoils_nothing():
     """The servo rests for ten times as long as it has moved."""
     inputs = np.concatenate([record("S", 20.0)["u"], np.zeros(200_000)])
@@ -341,7 +341,7 @@ def test_rest_neither_starts_it_nor_winds_it_up():
     assert rows[:, -2].max() == 0.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_constant_noise_and_the_papers_entries_are_slower_and_less_exact():
     data = record("S", 60.0)
     usual, own = observed("joint_ekf", data), observed(BEST, data)
@@ -371,7 +371,7 @@ def test_elements_side_by_side_are_found_where_their_distances_are_known():
     np.testing.assert_allclose(stiffness.sum(axis=0), levels, rtol=0.1)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_elements_side_by_side_follow_maxwell_slip_better_than_one_alone():
     data = record("GMS", 60.0)
     late = slice(30_000, None)

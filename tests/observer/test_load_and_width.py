@@ -82,7 +82,7 @@ LIMIT = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", KNOWN)
 def test_a_load_torque_is_found_and_costs_no_accuracy(method):
     """A tenth of Coulomb friction, 4 rad/s2."""
@@ -92,7 +92,7 @@ def test_a_load_torque_is_found_and_costs_no_accuracy(method):
     assert found(method, record())["load"] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["martinez_poznyak", "drem", "swapped", "swapped_known"])
 def test_the_width_of_the_basis_functions_can_be_told(method):
     data = record(width=2.0)

@@ -92,7 +92,7 @@ def known(method: str) -> dict[str, float]:
     return {p.name: SET_S[p.symbol] for p in parameters if "known" in p.description}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "names", "limit"),
     [("bastin_gevers", STEP1, 3.0), ("rls", STEP1, 0.5), ("besancon", STEP2, 8.0)],
@@ -143,7 +143,7 @@ def test_what_is_not_estimated_is_nan_and_not_valid(method):
             assert values[f"{name}_valid"] == 0.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_both_steps_are_visible_all_the_time_and_step_2_is_not_valid_before_it_begins():
     names = [*(f"{n}_hat" for n in STEP1 + STEP2), *(f"{n}_valid" for n in STEP2)]
     instance = Native(observer_program("two_step"), {"two_step.longest_wait": 2.0})
@@ -163,7 +163,7 @@ def test_projection_keeps_sigma0_and_c_positive_under_a_wrong_model():
     assert np.any(estimates == 1.0)  # the bound was needed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_printed_gains_change_the_estimates_but_do_not_converge():
     data = record(60.0)
     estimates = observe(

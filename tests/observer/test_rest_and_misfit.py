@@ -81,7 +81,7 @@ def test_a_load_that_changes_in_rest_is_not_called_known_and_is_found_when_motio
         assert found[f"{name}_hat"][at[49.9]] == pytest.approx(TRUE[name], rel=0.02)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["two_step_drem", "swapped"])
 def test_a_rest_forgets_nothing(method):
     data = record(50.0, ((0.0, 1.0), (25.0, 0.0)))
@@ -104,7 +104,7 @@ def test_a_filter_that_waits_for_motion_starts_from_it():
         assert np.all(found[f"{name}_sd"][valid] > 0)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("effect", "name", "parameters"),
     [

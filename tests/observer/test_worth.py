@@ -122,7 +122,7 @@ def test_what_is_right_is_valid_and_within_two_deviations(method, names):
         )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["swapped", "swapped_position"])
 @pytest.mark.parametrize("samples", [0.5, 2.0])
 def test_filtered_approach_one_finds_a_delay_and_loses_nothing(method, samples):
@@ -165,7 +165,7 @@ def test_noise_in_the_regressor_is_told_from_the_samples_alone():
     assert fine["c_sd"][-1] < 0.05 * TRUE["c"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("method", "share"),
     [("besancon", 1.03), ("drem", 1.03), ("martinez_poznyak", 1.1), ("drem_position", 1.03)],
@@ -197,7 +197,7 @@ def test_what_is_kept_to_show_its_failure_is_never_valid(method):
 # -- when step 2 begins ----------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_step_2_begins_when_step_1_has_converged():
     data = record()
     names = [

@@ -69,7 +69,7 @@ def test_every_public_name_is_there():
         bristle.nothing_of_this_name  # noqa: B018 - the access is what is tested
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_sub_packages_keep_their_names():
     code = (
         "import bristle, bristle.diagnosis, bristle.records, bristle.harness.run.run;"
@@ -117,7 +117,7 @@ def test_another_seed_gives_another_run(case, tmp_path):
     assert one.estimates["b"]["moved"] != other.estimates["b"]["moved"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_shipped_scenario_is_found_by_its_name(tmp_path):
     result = bristle.run("quick", tmp_path, overrides={"duration": "1 s"})
     assert result.scenario == "quick"
@@ -212,7 +212,7 @@ def test_a_wrong_argument_of_build_is_one_line_that_names_it(tmp_path, message, 
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_effects_join_a_plant_that_is_built_and_one_of_a_scenario(case, tmp_path):
     path = bristle.build("plant", tmp_path, law="coulomb", effects=["cogging", "bias"])
     assert path.name == "ServoPlant_coulomb_bias_cogging.fmu"
@@ -241,7 +241,7 @@ def test_arrays_become_the_records_of_a_file(wrong_unit):
     np.testing.assert_array_equal(same.y, record.y)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_no_error_of_the_library_speaks_of_options_of_the_command_line():
     """Whoever calls a function has none; the command line alone may name them."""
     rooms = (

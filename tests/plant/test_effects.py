@@ -299,7 +299,7 @@ def test_with_zero_strength_it_is_the_servo_without_the_effect(law_name):
             assert limit > 1e-12 or np.all(found[:, 3:] == base[:, 3:]), name
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_pairs_compose_or_are_refused():
     refused = set()
     for pair in combinations(NAMES, 2):
@@ -431,7 +431,7 @@ def test_generated_python_gives_the_same_digits(name):
     assert np.all(np.abs(np.array(found) - c) <= 1e-12 * np.max(np.abs(c), axis=0))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_sensitivities_equal_central_differences(name):
     """Of the states by the steps taken; of what is measured by the chain rule on top."""
@@ -873,7 +873,7 @@ def test_a_delay_shifts_the_input(periods):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("law_name", ["coulomb", "modified", "viscous"])
 def test_an_encoder_behind_play_stands_still_until_the_motor_has_crossed_it(law_name):
     """The play operator applied to the samples of a motion without it; within a sample only a

@@ -698,7 +698,7 @@ FITTED = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(FITTED))
 def test_derivatives_are_those_of_the_motion_over_every_switch(name):
     """Exact derivatives of the steps against differences of whole runs, in which the switching

@@ -242,7 +242,7 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
             assert value == 0.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_true_gate_is_where_the_basis_functions_leave_five_percent():
     """At the gate the friction level differs by 5 % from Coulomb friction, above it by less,
     whatever the weights.

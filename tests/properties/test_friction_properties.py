@@ -97,7 +97,7 @@ def lugre(values):
     return values | {"lugre.Fs": values["lugre.Fs"] * values["lugre.Fc"]}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @FEW
 @given(LUGRE, SEED, SIZE)
 def test_deflection_stays_below_fs_over_sigma0_and_is_dissipative(values, seed, size):

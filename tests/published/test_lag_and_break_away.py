@@ -89,7 +89,7 @@ def break_away(name: str, rate: float, **parameters: float) -> float:
     return float(np.max(found[: np.argmax(found[:, 0] >= VS) + 1, 1])) / FS
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", LAWS)
 def test_friction_lags_and_break_away_falls_with_the_rate(name: str) -> None:
     """At the defaults of every law with a Stribeck curve and a memory."""

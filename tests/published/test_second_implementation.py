@@ -75,7 +75,7 @@ def ours():
     return breaks(*record.T)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_their_stick_slip_tends_to_ours_as_their_step_shrinks():
     own = ours()
     assert len(own) == 4

@@ -851,7 +851,7 @@ def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, messag
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_records_need_no_diagnosis():
     """Whoever reads a record, a scenario for one, does not load the diagnosis and the plants."""
     code = (

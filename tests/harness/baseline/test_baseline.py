@@ -144,7 +144,7 @@ def test_what_is_stored_is_what_was_made(accepted: tuple[Path, Baseline]) -> Non
     assert not any(each["why"] for each in read.runs)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_rerun_passes_at_full_rate_and_thinned(
     accepted: tuple[Path, Baseline], full: Path, place: Path
 ) -> None:
@@ -240,7 +240,7 @@ def test_an_event_that_is_late_by_more_than_was_measured_fails(
     assert failed(compare_folders(accepted[0], altered(edit))) == {"theta_enc"}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_percent_in_a_parameter_is_seen(accepted: tuple[Path, Baseline], place: Path) -> None:
     other = RunOptions(overrides=["plant.parameters.coulomb.Fc=0.01616 N.m"])
     found = compare_folders(accepted[0], run(place / "stick.toml", place / "percent", other).folder)
@@ -250,7 +250,7 @@ def test_a_percent_in_a_parameter_is_seen(accepted: tuple[Path, Baseline], place
     assert "values set by --set" in " ".join(found.notes)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_another_duration_and_another_rate_are_said_in_one_line(
     accepted: tuple[Path, Baseline], place: Path
 ) -> None:
@@ -312,7 +312,7 @@ def test_sides_without_the_instants_of_the_reference_are_refused(
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_how_many_instants_were_compared_is_said(full: Path, place: Path, tmp_path: Path) -> None:
     found = compare_folders(full, run(place / "stick.toml", place / "counted").folder)
     assert (found.rows, found.instants) == (2000, 6001)
@@ -359,7 +359,7 @@ def test_a_run_as_reference_leaves_only_the_written_digits_open(
     assert failed(compare_folders(full, altered(edit))) == {"v"}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_report_shows_each_signal_and_the_numbers(
     accepted: tuple[Path, Baseline], altered: Any, tmp_path: Path
 ) -> None:
@@ -393,7 +393,7 @@ def noise(scale: float, shift: float = 0.0) -> SignalCourse:
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_report_is_no_larger_than_a_megabyte() -> None:
     page = render(a_comparison({f"s{k}": noise(1.0) for k in range(30)}, {}))
     assert 0.8 * PAGE_BYTES < len(page.encode()) <= PAGE_BYTES
@@ -598,7 +598,7 @@ def test_an_fmu_from_elsewhere_is_run_as_it_is(
     )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_run_that_ends_early_is_no_reference(
     scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path, message: Message
 ) -> None:

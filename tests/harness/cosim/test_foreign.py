@@ -77,7 +77,7 @@ def told_of(during: str, message: Message, run: Callable[[float], object]) -> tu
     return limit, line
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("fault", "during"),
     [
@@ -113,7 +113,7 @@ def test_without_a_limit_a_call_that_does_not_return_is_ended(
     assert left() == []
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_process_that_it_starts_ends_with_it(faulty: Callable[[str], Bus]) -> None:
     """Also one that has left the group and ignores signals that can be ignored; the run itself is
     not harmed.
@@ -124,7 +124,7 @@ def test_a_process_that_it_starts_ends_with_it(faulty: Callable[[str], Bus]) -> 
     assert left() == []
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_worker_does_not_outlive_its_supervisor(
     faulty: Callable[[str], Bus], message: Message
 ) -> None:
@@ -173,7 +173,7 @@ def test_one_that_takes_all_memory_harms_itself_alone(
     assert "doStep returned Error" in trace.failure.message
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("fault", "status"), [("discard", "Discard"), ("fatal", "Fatal")])
 def test_the_status_is_named(fault: str, status: str, faulty: Callable[[str], Bus]) -> None:
     for engine in ("native", "fmpy"):

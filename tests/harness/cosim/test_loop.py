@@ -83,7 +83,7 @@ def bus_of(path: Path, fmi: int = 2, kind: Kind = "native", *overrides: str) -> 
     return identification(prepare(loaded, build_fmus(loaded, fmi, kind)))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
 def test_the_compiled_loop_gives_the_digits_of_fmpys_calls(
     fmi: int, kind: Kind, base: str, scenario_file: Maker
@@ -233,7 +233,7 @@ def test_a_process_of_its_own_gives_the_same_digits(tiny_fmu: Maker) -> None:
     assert np.array_equal(simulate_isolated(bus).values, simulate(bus).values)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("fault", "word"), [("abort", "SIGABRT"), ("segfault", "SIGSEGV"), ("exit", "exit code 7")]
 )
@@ -305,7 +305,7 @@ def test_a_foreign_plant_may_be_in_the_units_of_a_rig(
 # -- timing ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_one_sample_of_shift_spoils_the_estimates(base: str, scenario_file: Maker) -> None:
     """The observer pairs u_(k-1) with y_(k-1) and y_k; fed one sample late or early it must get
     worse.

@@ -25,7 +25,7 @@ def of(ending, change):
     return lambda name, content: change(content) if name.endswith(ending) else content
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_an_fmu_is_tried_with_what_it_holds(made, tmp_path):
     done = repeat(made, tmp_path)
     assert done.passed
@@ -55,7 +55,7 @@ def test_another_number_in_the_reference_fails(made, tmp_path, changed):
     assert done.changed == (FOLDER + "smoke-test-reference.csv",)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("ending", ["plant.c", "modelDescription.xml", "license.txt"])
 def test_a_file_that_is_not_as_it_was_fails(made, tmp_path, ending, changed):
     with zipfile.ZipFile(made) as archive:
@@ -82,7 +82,7 @@ def test_a_file_that_is_not_as_it_was_fails(made, tmp_path, ending, changed):
     assert repeat(gone, tmp_path / "out").changed == ("documentation/licenses/license.txt",)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_another_fmu_fails_the_experiments_of_this_one(made, tmp_path):
     with zipfile.ZipFile(made) as archive:
         archive.extractall(
@@ -162,7 +162,7 @@ def test_times_that_do_not_start_at_zero_reach_the_fmu(tiny_fmu, foreign, tmp_pa
     assert "stopped at 0.5 s" in done.experiments[0].summary
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_signal_off_or_missing_fails_and_one_step_late_does_not(tiny_fmu, foreign, tmp_path):
     time = 0.01 * np.arange(41)
     rows = [f"{t:.4f},{a:.6f},{b * 1.02:.6f}" for t, (a, b) in zip(time, exact(time), strict=True)]
@@ -189,7 +189,7 @@ def test_what_is_no_result_of_a_run_is_left_out_and_said(tiny_fmu, foreign, tmp_
     assert "1 not compared" in one.summary
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_reference_without_anything_to_compare_fails(tiny_fmu, foreign, tmp_path):
     for head, rows in (("time\n", "0\n1\n"), ("time,u\n", "0,0\n0.1,1\n")):
         done = repeat(tiny_fmu(), tmp_path / "out", foreign(head=head, rows=rows))

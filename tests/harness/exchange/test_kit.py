@@ -62,7 +62,7 @@ def table(text):
     return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_what_is_exported_is_the_run_of_the_scenario(kit):
     reference = table((kit / "out" / "reference" / "signals.csv").read_text(encoding="utf-8"))
     done = run(kit / "axis.toml", kit / "run", RunOptions(full=True))
@@ -119,7 +119,7 @@ def test_the_fmus_have_the_parameters_of_the_scenario_as_start_values(kit):
     assert (package.system.step, package.system.stop) == (1e-3, 2.0)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit, changed):
     package = kit / "out" / "axis.ssp"
     done = replay(package, kit / "again")
@@ -155,7 +155,7 @@ def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit, 
     assert bad.time == pytest.approx(0.699)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_each_fmu_can_be_tried_alone_with_its_part_of_the_run(kit, changed):
     for name in ("plant", "observer", "controller", "stimuli"):
         done = repeat(kit / "out" / "fmus" / f"{name}.fmu", kit / "alone")
@@ -183,7 +183,7 @@ def bent_stimuli(name, content):
     ).encode()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_noise_is_exported_as_a_table(tmp_path):
     noise = 'noise = { rms = "0.0005 N.m", bandwidth = "20 Hz" }'
     text = SCENARIO.replace('duration = "2 s"', 'duration = "0.5 s"').replace(
@@ -219,7 +219,7 @@ def test_a_package_that_cannot_be_run_is_one_line(kit, tmp_path, old, new, messa
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_damaged_reference_is_one_line(kit, tmp_path, changed):
     for damaged, content in (
         ("verdict.json", b'{"x": NaN'),

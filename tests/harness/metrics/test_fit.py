@@ -78,7 +78,7 @@ def test_a_record_of_position_is_fitted_by_its_increments() -> None:
     assert found.parameters == pytest.approx({"b": 6.5, "a2": 2.0, "coulomb.Fc": 4.0}, rel=0.01)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_floor_finds_set_r_and_says_tau_vanishes() -> None:
     u, v = record("modified", SET_R)
     data = Data(u, v, H)
@@ -102,7 +102,7 @@ def test_starts_come_from_the_record_alone() -> None:
         assert other["modified.sigma0"] == pytest.approx(one["modified.sigma0"], rel=1e-6)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_validation_ranks_model_floor_and_baselines() -> None:
     u, v = record("modified", SET_R)
     u2, v2 = record("modified", SET_R, seed=2)

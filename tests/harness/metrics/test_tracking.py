@@ -31,7 +31,7 @@ SLOW = (
 BETTER = '[[checks]]\nquantity = "tracking.ratio"\nmax = 0.5\n'
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_scenario_is_compared_with_the_controller_alone(
     base: str, scenario_file: Maker, tmp_path: Path
 ) -> None:

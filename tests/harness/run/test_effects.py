@@ -39,7 +39,7 @@ def signals(
     return simulate(identification(prepare(loaded, build_fmus(loaded, fmi, kind)))).values
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("undrawn")
 def test_all_kinds_of_fmu_give_the_same_digits(base: str, scenario_file: Maker) -> None:
     path = scenario_file(
@@ -75,7 +75,7 @@ def test_effects_from_the_command_line(base: str, scenario_file: Maker) -> None:
     np.testing.assert_array_equal(one, signals(scenario_file(with_effects(base, "bias"))))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_bias_is_the_load_that_an_observer_should_find(
     base: str, scenario_file: Maker, tmp_path: Path
 ) -> None:
@@ -95,7 +95,7 @@ def test_the_observer_gets_the_input_without_the_noise(base: str, scenario_file:
     assert (("controller", "u"), ("plant", "u")) in links
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("sensor", ["clean", "encoder"])
 def test_a_delay_reaches_whatever_the_observer_reads(
     sensor: str, base: str, scenario_file: Maker

@@ -129,7 +129,7 @@ def test_emps_in_newton_and_metres(method: str, data: ModuleType, tmp_path: Path
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("records", "rig"),

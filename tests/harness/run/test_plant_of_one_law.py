@@ -33,7 +33,7 @@ def outcome(path: Path, out: Path, fmi: int = 2) -> tuple[str, dict[str, Any]]:
     }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_whole_quick_scenario_runs_with_the_same_digits(
     fmi: int, scenario_file: Maker, tmp_path: Path

@@ -73,7 +73,7 @@ max = 50
     return run(path, folder / "out")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("undrawn")
 def test_every_number_that_a_check_may_demand_is_documented(finished: FinishedRun) -> None:
     """The numbers of result.json, with names of parameters, states and fitted models generalised,
@@ -263,7 +263,7 @@ def test_the_report_takes_little_time(finished: FinishedRun) -> None:
     assert finished.result["timing"]["report"] < 5.0  # 1 s on a quiet machine
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_full_rate_on_request(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     done = run(
         scenario_file(base), tmp_path / "out", RunOptions(full=True, overrides=["duration=3 s"])

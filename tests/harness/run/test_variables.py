@@ -45,7 +45,7 @@ def scenario(base: str, fmu: Path, gain: float, variables: str = "") -> str:
     return base.replace(BUILT, f'fmu = "{fmu}"\n{variables}\n[plant.parameters]\ngain = {gain!r}')
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_names_and_units_of_its_own_give_the_same_run(
     own_names: Path, tiny_fmu: Maker, base: str, scenario_file: Maker
 ) -> None:

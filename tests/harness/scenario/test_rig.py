@@ -183,7 +183,7 @@ def same_answers(
                 )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", ["rls", "self_starting_ekf"])
 def test_answers_do_not_depend_on_the_units_of_the_file(
@@ -316,7 +316,7 @@ def test_no_step_is_told_where_no_position_is_measured(
 # -- sampling --------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("undrawn")
 def test_the_last_sample_counts(axis: dict[str, Array], tmp_path: Path) -> None:
     """A position that jumps in the last sample reaches the estimate of the velocity there, which is

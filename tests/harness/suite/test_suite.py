@@ -224,7 +224,7 @@ def test_a_killed_process_loses_only_the_runs_under_way(tmp_path, ignoring):
     assert all("was killed" in t.message for t in lost)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_processes_end_with_their_parent():
     script = """
@@ -328,7 +328,7 @@ def test_pytest_keeps_results_of_scenarios_of_one_name_apart(tmp_path):
     assert found == {"a/same", "b/same", "other"}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_pytest_shows_no_report_of_a_scenario_that_cannot_run(tmp_path):
     path = scenario(tmp_path, "typo")
     path.write_text(path.read_text(encoding="utf-8").replace("rls", "rlss"), encoding="utf-8")

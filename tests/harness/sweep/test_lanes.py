@@ -106,7 +106,7 @@ def test_another_time_base_is_not_alike(base: str, scenario_file: Maker) -> None
         assert alike(identification(setup_of(path, 1, change))) != alike(first)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_run_that_is_out_of_the_ordinary_has_no_trace(base: str, scenario_file: Maker) -> None:
     path = scenario_file(base.replace("bastin_gevers", "besancon"))
     setups = [setup_of(path, 1), setup_of(path, 1, DIVERGES), setup_of(path, 2)]

@@ -87,7 +87,7 @@ def test_a_row_has_the_numbers_of_the_run_alone_and_its_command(path: Path, tmp_
     assert len({each["key"] for each in rows}) == 12
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_number_of_threads_changes_nothing(path: Path, tmp_path: Path) -> None:
     asked = design(VARY, samples=8)
     one, _ = swept(path, tmp_path / "one", asked, jobs=1)
@@ -109,7 +109,7 @@ def test_fmus_are_loaded_once_a_chunk(path: Path, monkeypatch: pytest.MonkeyPatc
     assert sorted(loads) == ["controller", "observer", "plant"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_resumed_sweep_makes_what_is_missing_and_nothing_else(
     path: Path, tmp_path: Path, message: Message
 ) -> None:
@@ -344,7 +344,7 @@ def test_the_share_of_passing_runs_has_its_interval() -> None:
     assert (1 - high, 1 - low) == pytest.approx(PassingShare(14, 20).interval)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
     text = (
         path.read_text(encoding="utf-8")
@@ -440,7 +440,7 @@ def test_runs_at_one_place_of_a_map_are_one_point(path: Path, tmp_path: Path) ->
     assert [runs.label(name) for name in ("x", "y")] == ["x", "y [kg.m2]"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_runs_of_several_versions_are_told_apart(path: Path, tmp_path: Path) -> None:
     asked = design([VARY[0]], samples=3)
     store, _ = swept(path, tmp_path / "store", asked)
@@ -465,7 +465,7 @@ def test_a_resumed_sweep_tells_what_those_that_were_there_do(path: Path, tmp_pat
     assert (found.runs, found.there, found.worst) == (0, {"fail": 3}, "fail")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
     from bristle.harness.sweep.chunk import Watcher
 
@@ -483,7 +483,7 @@ def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
     assert run_chunk(sweep, list(asked.points()), Soon()) == []
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 def test_python_has_the_same(path: Path, tmp_path: Path) -> None:
     import bristle
 
