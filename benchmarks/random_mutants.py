@@ -7,10 +7,11 @@ python benchmarks/random_mutants.py 100 --seed 1 --report > benchmarks/results/m
 A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
-for a line that is run by none, other lines of its file) run against it: a share of the sampled
-tests, without the slow ones and with them, and if that passes, all tests. The clone is made and its
-lines are recorded once, with the tests of one share: remove build/mutants to begin with another
-commit. Tests that fail without a mutant do not count.
+for a line that is run by none, other lines of its file) run against it: those of a share, the
+room's own first and slow ones last, and if they pass, all tests of these files, of which what takes
+longer than a quarter of an hour is not known. The clone is made and its lines are recorded once,
+with the tests of one share: remove build/mutants to begin with another commit. Tests that fail
+without a mutant do not count.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tomllib
@@ -40,8 +42,8 @@ ROOMS = (
     *("harness", "diagnosis", "cli", "common"),
 )
 RECORDED = "BRISTLE_MUTANTS"  # environment variable: the folder that a process records its lines in
-LONGEST = 3600  # s, of the tests of one mutant: one that never ends is caught
-NOTHING_RAN = 5  # exit code of pytest
+LONGEST = 900  # s, of one run of tests: a share takes less, so that one that never ends is caught
+NOTHING_RAN, NEVER_ENDS = 5, -1  # exit code of pytest, and in its place
 REPLACED: dict[type, tuple[type, ...]] = {
     **{ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.GtE)},
     **{ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.LtE)},
@@ -145,25 +147,30 @@ def prepare() -> None:
             (SITE / "bristle" / package.split(".")[1]).symlink_to(TREE / folder)
 
 
-def tested(*arguments: str, **environment: str) -> tuple[int, list[str]]:
-    """Run tests in the clone; return pytest's exit code, -1 if they never end, and which failed."""
+def run_tests(
+    *arguments: str, longest: float = LONGEST, **environment: str
+) -> tuple[int, list[str]]:
+    """Run tests in the clone; return pytest's exit code or NEVER_ENDS, and which tests failed."""
     data = os.environ.get("BRISTLE_DATA", str(ROOT.parent / "shared" / "data"))
     own = {"PYTHONPATH": str(SITE), "BRISTLE_CACHE": str(PLACE / "cache"), "BRISTLE_DATA": data}
     command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", *arguments]
+    running = subprocess.Popen(
+        command,
+        cwd=TREE,
+        env=os.environ | own | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,  # so that no process of it outlives the time
+    )
     try:
-        done = subprocess.run(
-            command,
-            cwd=TREE,
-            env=os.environ | own | environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=LONGEST,
-        )
+        said, _ = running.communicate(timeout=longest)
     except subprocess.TimeoutExpired:
-        return -1, []
-    told = [line.split(" - ")[0].split(maxsplit=1) for line in done.stdout.splitlines()]
-    return done.returncode, [each[1] for each in told if each[:1] in (["FAILED"], ["ERROR"])]
+        os.killpg(running.pid, signal.SIGKILL)
+        running.communicate()
+        return NEVER_ENDS, []
+    told = [line.split(" - ")[0].split(maxsplit=1) for line in said.splitlines()]
+    return running.returncode, [each[1] for each in told if each[:1] in (["FAILED"], ["ERROR"])]
 
 
 def record_lines(share: str, processes: str) -> None:
@@ -171,8 +178,12 @@ def record_lines(share: str, processes: str) -> None:
     found = PLACE / "lines"
     found.mkdir()
     path = os.pathsep.join((str(SITE), str(Path(__file__).parent)))
-    options = ["-p", "mutants", "-n", processes, "--share", share]
-    _, failed = tested(*options, PYTHONPATH=path, **{RECORDED: str(found)})
+    options = ["-p", Path(__file__).stem, "-n", processes, "--share", share]
+    code, failed = run_tests(
+        *options, longest=4 * LONGEST, PYTHONPATH=path, **{RECORDED: str(found)}
+    )
+    if code == NEVER_ENDS:
+        sys.exit("the tests do not end without a mutant")
     data = importlib.import_module("coverage").CoverageData(str(found / "all"))
     for part in found.glob("of.*"):
         one = importlib.import_module("coverage").CoverageData(str(part))
@@ -189,7 +200,7 @@ def record_lines(share: str, processes: str) -> None:
 
 
 def pytest_configure() -> None:
-    """As a plugin of pytest (-p mutants): record the lines that each test file runs."""
+    """As a plugin of pytest (-p random_mutants): record the lines that each test file runs."""
     global _recording
     if folder := os.environ.get(RECORDED):
         _recording = importlib.import_module("coverage").Coverage(
@@ -224,23 +235,27 @@ def tests_of(mutant: Mutant, lines: dict[str, dict[str, list[str]]]) -> list[str
 
 
 def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) -> dict[str, Any]:
-    """Return what catches a mutant: "default", "all" or "nothing", and the tests that failed."""
+    """Return what catches a mutant: "default", "all", "nothing" or, where all tests take too long,
+    "not known"; and the first test that failed.
+    """
     file = TREE / mutant.file
     content = file.read_bytes()
     files = tests_of(mutant, known["lines"])
-    options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"]), *files]
-    stages: dict[str, list[tuple[str, ...]]] = {
-        "default": [("--share", share, "-m", "not slow"), ("--share", share, "-m", "slow")],
-        "all": [("--all",)],
-    }
+    home = [name for name in files if name.split("/")[1] == mutant.file.split("/")[0]]
+    away = [name for name in files if name not in home]
+    options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"])]
+    quick, slow = (["--share", share, "-m", marked] for marked in ("not slow", "slow"))
+    runs = [("default", quick, home), ("default", quick, away), ("default", slow, files)]
+    runs += [("all", ["--all"], home), ("all", ["--all"], away)]
     try:
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
-        for name, runs in stages.items() if files else []:
-            for run in runs:
-                code, failed = tested(*run, *options)
-                if code not in (0, NOTHING_RAN):
-                    return asdict(mutant) | {"caught": name, "by": failed[:1]}
+        for name, run, those in runs:
+            code, failed = run_tests(*run, *options, *those) if those else (NOTHING_RAN, [])
+            if code == NEVER_ENDS and name == "all":
+                return asdict(mutant) | {"caught": "not known", "by": []}
+            if code not in (0, NOTHING_RAN):
+                return asdict(mutant) | {"caught": name, "by": failed[:1]}
     finally:
         file.write_bytes(content)
     return asdict(mutant) | {"caught": "nothing", "by": []}
@@ -250,13 +265,17 @@ def report(results: list[dict[str, Any]]) -> str:
     """Return the table of the results, and what was not caught."""
     rows = Counter((each["file"].split("/")[0], each["caught"]) for each in results)
     lines = ["# Random faults that the tests notice", "", __doc__.split("\n\n")[2], ""]
-    lines += ["| room | mutants | caught by a share | by all tests |", "|---|---|---|---|"]
+    lines += [
+        "| room | mutants | caught by a share | by all tests | not known of all |",
+        "|---|---|---|---|---|",
+    ]
+    every = ("default", "all", "nothing", "not known")
     for room in (*ROOMS, "all"):
-        number, share, every = (
+        numbers = [
             sum(count for (r, c), count in rows.items() if room in (r, "all") and c in caught)
-            for caught in (("default", "all", "nothing"), ("default",), ("default", "all"))
-        )
-        lines.append(f"| {room} | {number} | {share} | {every} |")
+            for caught in (every, ("default",), ("default", "all"), ("not known",))
+        ]
+        lines.append(f"| {room} | {' | '.join(map(str, numbers))} |")
     lines += ["", "Not caught by all tests, or by the share only not:", ""]
     lines += [
         f"- {each['file']}:{each['line']}: `{' '.join(each['before'].split())}` -> "

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -103,30 +104,61 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.Item]:
     """Return the tests that are not in a share.
 
-    Of the sets of a test with `sampled(n)`, of all slow tests, and of the other tests of a file,
-    one in so many is: those whose place has one remainder, which the share and the name of the
-    group draw. Of several sets at least one is; a test without sets is in one of n shares. What
-    is long is in no share.
+    The share draws an order of all methods, effects, FMUs and other sets. Of the sets of a test
+    with `sampled(n)`, of all slow tests, and of the other tests of a file, one in n is in it: the
+    first in this order, so that all tests take the same methods and effects, and few are compiled.
+    A test without sets is in one of n shares, and so is one with `sampled(n, name)`: those of a
+    name are in the same shares. What is long is in no share.
     """
     left_out = {item for item in items if item.get_closest_marker("long")}
-    groups: dict[tuple[str, int], list[pytest.Item]] = {}
+    groups: dict[tuple[str, int, bool], list[pytest.Item]] = {}
     for item in items:
-        if item in left_out:
-            continue
-        file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
-        if item.get_closest_marker("slow"):
-            group = ("slow", ONE_SLOW_IN)
-        elif sampled := item.get_closest_marker("sampled"):
-            group = (test, sampled.args[0] * one_in)
+        if item not in left_out:
+            groups.setdefault(_group(item, one_in), []).append(item)
+    for (name, n, whole), group_items in groups.items():
+        if whole:
+            number = len(group_items) if crc32(f"{share} {name}".encode()) < 2**32 / n else 0
         else:
-            group = (file, one_in)
-        groups.setdefault(group, []).append(item)
-    for (name, n), group_items in groups.items():
-        # only a single test without sets may be drawn by no remainder
-        several = "[" in group_items[0].nodeid or "::" not in name
-        drawn = crc32(f"{share} {name}".encode()) % (min(n, len(group_items)) if several else n)
-        left_out.update(item for k, item in enumerate(group_items) if k % n != drawn)
+            number = max(round(len(group_items) / n), 1)
+        left_out.update(sorted(group_items, key=lambda item: _place(item, share))[number:])
     return left_out
+
+
+def _group(item: pytest.Item, one_in: int) -> tuple[str, int, bool]:
+    """Return with which tests a test is drawn, one in how many, and whether all of them or none."""
+    file, test = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
+    if item.get_closest_marker("slow"):
+        return "slow", ONE_SLOW_IN, False
+    if sampled := item.get_closest_marker("sampled"):
+        n, *name = sampled.args
+        return (name[0] if name else test), n * one_in, bool(name) or test == item.nodeid
+    return file, one_in, False
+
+
+def _place(item: pytest.Item, share: str) -> tuple[int, int]:
+    """Return where a test is in the order of a share: by what it names, then by its own name."""
+    sets = getattr(item, "callspec", None)
+    known = _drawn_together()
+    named = [each for each in _strings(sets.params.values() if sets else ()) if each in known]
+    first = named[0] if named else item.nodeid
+    return crc32(f"{share} {first}".encode()), crc32(f"{share} {item.nodeid}".encode())
+
+
+def _strings(values: Iterable[Any]) -> Iterator[str]:
+    """Give the strings among values and in the tuples among them."""
+    for value in values:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, tuple):
+            yield from _strings(value)
+
+
+@cache
+def _drawn_together() -> frozenset[str]:
+    from bristle.observer import methods
+    from bristle.plant.effects import effects
+
+    return frozenset((*methods(), *effects(packages=False), "plant", "controller", "observer"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -69,6 +69,7 @@ def test_the_validator_would_find_something(built, tmp_path):
     assert validate_fmu(str(broken))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", ["plant", "controller", "observer"])
 def test_build_description_is_valid_and_complete(built, what):
     folder = built(what, fmi=3).folder / "sources"
@@ -119,6 +120,7 @@ def test_variables_are_those_of_the_program(built, case):
     assert sum(v.causality == "independent" for v in shown.values()) == (1 if fmu.fmi == 3 else 0)
 
 
+@pytest.mark.sampled(3, "observer")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_selector_is_an_enumeration_of_the_variants(built, fmi):
     cases = (
@@ -138,6 +140,7 @@ def test_the_selector_is_an_enumeration_of_the_variants(built, fmi):
         )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
     "case", [*WHOLE, ("plant", {"law": "lugre", "encoder": False})], ids=identity
@@ -247,6 +250,7 @@ def moved(v, rng):
     return min(max(start * 1.3 + 0.3 * rng.random(), low), high)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "case",
     [*WHOLE, ("plant", {"law": "lugre", "encoder": False}), ("plant", {"law": "coulomb"})],
@@ -278,6 +282,7 @@ def test_outputs_depend_on_no_more_inputs_than_declared(built, Raw, case):
         assert found["F"] == declared["F"] & set(inputs) != set()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "case",
     [
@@ -352,6 +357,7 @@ def test_borrowed_files_keep_their_licences(built):
     )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", [*WHOLE, ("plant", {"kind": "python"})], ids=identity)
 def test_documentation_names_every_variable(built, case):
     fmu = built(case[0], **case[1])

@@ -82,7 +82,7 @@ def raw_time(start, life):
     return start + 0.01 * (life + 1)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_interleaved_instances_do_not_interact(built, Raw, case):
     what, fmi = case
@@ -100,7 +100,7 @@ def test_interleaved_instances_do_not_interact(built, Raw, case):
         raw.free(handle)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_states_continue_bitwise(built, Raw, case):
     """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in
@@ -212,6 +212,7 @@ def test_splitting_a_step_changes_little(built, Raw, law):
         )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", list(DRIVE))
 def test_noise_in_the_last_bits_of_time_does_not_matter(built, Raw, what):
     """Host clocks add up to 2.950000000003: samples neither double nor drop out, and the values

@@ -55,8 +55,7 @@ def replayed(method, others=()):
     """Run an observer on the record, with other units on the same bus that it is not connected
     to.
     """
-    fmu, seen = Fmu(obtain("observer")), record()
-    own = BusUnit("observer", fmu, {"method": fmu.choices("method")[method]})
+    own, seen = BusUnit("observer", Fmu(obtain("observer", method=method)), {}), record()
     series = {
         ("observer", name): np.ascontiguousarray(seen[:-1, i])
         for i, name in enumerate(continued().SEEN)
@@ -97,9 +96,8 @@ def test_no_path_leads_from_a_hidden_state_to_the_observer(method):
     assert np.isfinite(expected).any()
     for plant in moved:
         np.testing.assert_array_equal(replayed(method, (plant,)), expected)
-    assert [
-        v.name for v in Fmu(obtain("observer")).description.modelVariables if v.causality == "input"
-    ] == [*continued().SEEN]
+    variables = Fmu(obtain("observer", method=method)).description.modelVariables
+    assert [v.name for v in variables if v.causality == "input"] == [*continued().SEEN]
 
 
 def test_the_moved_plants_do_move_otherwise():

@@ -65,6 +65,7 @@ def test_building_twice_gives_the_same_bytes(tmp_path, options):
     assert results[0] == results[1]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("what", "fmi"), NATIVE)
 def test_archive(built, what, fmi):
     fmu = built(what, fmi=fmi)
@@ -86,6 +87,7 @@ def test_archive(built, what, fmi):
     assert {f"sources/{header}" for header in FMI_HEADERS[fmi]} <= set(names)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("what", "fmi"), NATIVE)
 def test_no_trace_of_the_building_machine(built, what, fmi):
     folder = built(what, fmi=fmi).folder
@@ -189,6 +191,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["x.fmu"]
 
 
+@pytest.mark.sampled(3, "observer")
 def test_what_is_there_is_not_built_again():
     """A second `obtain` imports nothing symbolic and starts no compiler."""
     paths = {what: str(obtain(what)) for what in ("plant", "observer", "controller")}

@@ -71,6 +71,7 @@ def signals(what, k):
     return {"y_v": 2.0 * math.sin(0.003 * k)}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", list(RUNS))
 def test_native_and_python_agree(built, what):
     """1e-12 of each signal's range over the whole run, every law and method; NaN in the same
@@ -184,6 +185,7 @@ def test_a_step_with_too_many_internal_steps_fails_and_a_reset_revives(built):
     slave.free()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", list(RUNS))
 def test_states_continue_bitwise(built, what):
     fmu = built(what, kind="python")

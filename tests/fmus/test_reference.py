@@ -31,6 +31,7 @@ def through_fmi(raw, what, names):
     return dict(zip(names, np.array(rows).T, strict=True))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("what", FMU_NAMES)
 def test_the_fmu_stays_in_the_tube(built, Raw, what, fmi):
@@ -86,6 +87,7 @@ def test_readme_is_ten_lines(what):
     assert 8 <= len(lines) <= 12
 
 
+@pytest.mark.sampled(3, "observer")
 def test_errors_by_step_size_are_measured_and_stand_in_the_documentation(built):
     """The table of the documentation; an input that changes is held, which delays it by half a
     step.

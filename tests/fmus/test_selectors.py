@@ -45,6 +45,7 @@ def running(raw, handle, selector):
     return raw.read(handle, f"{selector}_running", "Int32")
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", NATIVE, ids=str)
 def test_the_integer_chooses_as_the_enumeration_does(built, Raw, case):
     what, fmi = case
@@ -62,6 +63,7 @@ def test_the_integer_chooses_as_the_enumeration_does(built, Raw, case):
     assert len(seen) > 0.3 * len(names)  # many methods differ only later
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", NATIVE, ids=str)
 def test_a_choice_that_cannot_be_is_refused_and_never_the_default(built, Raw, case):
     """One message, at initialisation, also where a host ignores the status of the calls before."""
@@ -96,6 +98,7 @@ def test_a_choice_that_cannot_be_is_refused_and_never_the_default(built, Raw, ca
         raw.free(handle)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", NATIVE, ids=str)
 def test_both_may_say_the_same_and_zero_says_nothing(built, Raw, case):
     what, fmi = case
@@ -114,6 +117,7 @@ def test_both_may_say_the_same_and_zero_says_nothing(built, Raw, case):
         raw.free(handle)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", NATIVE, ids=str)
 def test_what_runs_is_part_of_the_state(built, Raw, case):
     """A state put into an instance of another law: the output tells the law of the state, and its
@@ -137,6 +141,7 @@ def test_what_runs_is_part_of_the_state(built, Raw, case):
     assert running(raw, other, selector) == (0, 3)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("what", list(NUMBERED))
 def test_the_description_numbers_the_variants(built, what, fmi):
@@ -204,6 +209,7 @@ class Slave:
         return np.array(found).tobytes()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", list(NUMBERED))
 def test_the_python_twin_chooses_alike(built, what):
     selector, names = NUMBERED[what]

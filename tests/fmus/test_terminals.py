@@ -24,6 +24,7 @@ def members(fmu):
     }
 
 
+@pytest.mark.sampled(3, "observer")
 def test_the_bus_joins_plant_observer_and_controller_by_names(built):
     buses = {what: members(built(what, fmi=3)) for what in WHOLE}
     assert buses["plant"].keys() == buses["observer"].keys() == {"u", "y_theta", "y_v"}
@@ -35,6 +36,7 @@ def test_the_bus_joins_plant_observer_and_controller_by_names(built):
         assert variables[bus["u"]].causality == ("output" if what == "controller" else "input")
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", WHOLE)
 def test_icons_are_pictures(built, what):
     with ZipFile(built(what, fmi=3).path) as archive:
@@ -46,6 +48,7 @@ def test_icons_are_pictures(built, what):
         assert (built(what, kind=kind).folder / "model.png").read_bytes() == png
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("what", WHOLE)
 def test_display_units_are_defined_with_their_factors(built, what, fmi):

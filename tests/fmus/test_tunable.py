@@ -59,6 +59,7 @@ def rows(raw, fmu, handle):
 
 
 @pytest.mark.sampled(5)
+@pytest.mark.sampled(3, "observer")
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_a_value_set_between_steps_acts_like_one_set_before_the_start(built, Raw, case):
     what, selector, variant = case
@@ -85,6 +86,7 @@ def test_a_value_set_between_steps_acts_like_one_set_before_the_start(built, Raw
         raw.free(handle)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("what", ["plant", "observer", "controller"])
 def test_what_is_tunable_has_a_use_and_what_is_not_is_refused(built, Raw, what):
     fmu = built(what, fmi=3)

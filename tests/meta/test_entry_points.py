@@ -82,6 +82,7 @@ def test_a_part_of_a_package_is_known_by_name_and_in_nothing_that_is_shipped(pac
     assert list(SHIPPED[kind]()) == before
 
 
+@pytest.mark.sampled(3, "observer")
 def test_the_fmus_of_all_laws_and_methods_are_the_same_with_and_without_packages(package):
     """From the cache: their keys have no part of a package."""
     before = [obtain(what) for what in ("plant", "observer")]

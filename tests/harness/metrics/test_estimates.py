@@ -229,6 +229,7 @@ def test_json_has_null_for_what_is_not_a_number() -> None:
     }
 
 
+@pytest.mark.sampled(3, "observer")
 def test_elements_side_by_side_are_compared_only_with_those_of_the_same_distances() -> None:
     plant, observer = (Fmu(obtain(what)) for what in ("plant", "observer"))
     own, other = metrics.element_distances(plant, {}), metrics.element_distances(observer, {})

@@ -94,6 +94,7 @@ def test_a_second_page_replaces_the_first_and_leaves_the_rest(
     assert {path.name for path in tmp_path.iterdir()} == {"thesis.txt", "report.html"}
 
 
+@pytest.mark.sampled(3, "observer")
 def test_the_printed_scheme_has_the_printed_gains() -> None:
     """The table of printed numbers against the defaults of the observer: both were typed from the
     paper.
