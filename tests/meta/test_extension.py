@@ -75,7 +75,7 @@ def test_the_page_adds_one_file_of_each_kind():
     assert {name.split("/")[1] for name in FILES if name.startswith("my_models/")} == set(FOLDERS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_command_of_the_page_prints_what_it_shows(written):
     """Found, built as an FMU, run in a scenario, and named by a diagnosis: without a change of the
     installed package.
