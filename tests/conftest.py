@@ -50,6 +50,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--one-in", type=int, default=1, metavar="N", help="of a share's other tests, run one in N"
     )
+    group.addoption(
+        "--long",
+        type=int,
+        default=0,
+        metavar="N",
+        help="with a share, run N of the long tests, too",
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -93,7 +100,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     then most tests: no process is left with a long one at the end.
     """
     if config.option.share is not None:
-        left_out = _left_out(items, config.option.share, config.option.one_in)
+        option = config.option
+        left_out = _left_out(items, option.share, option.one_in, option.long)
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
@@ -101,26 +109,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: (-slow[item.path], -number[item.path]))
 
 
-def _left_out(items: list[pytest.Item], share: str, one_in: int) -> set[pytest.Item]:
+def _left_out(
+    items: list[pytest.Item], share: str, one_in: int, number_of_long: int
+) -> set[pytest.Item]:
     """Return the tests that are not in a share.
 
     The share draws an order of all methods, effects, FMUs and other sets. Of the sets of a test
     with `sampled(n)`, of all slow tests, and of the other tests of a file, one in n is in it: the
     first in this order, so that all tests take the same methods and effects, and few are compiled.
     A test without sets is in one of n shares, and so is one with `sampled(n, name)`: those of a
-    name are in the same shares. What is long is in no share.
+    name are in the same shares. Of what is long, as much is as was asked for.
     """
-    left_out = {item for item in items if item.get_closest_marker("long")}
+
+    def ordered(items: Iterable[pytest.Item]) -> list[pytest.Item]:
+        return sorted(items, key=lambda item: _place(item, share))
+
+    long = ordered(item for item in items if item.get_closest_marker("long"))
+    left_out = set(long[number_of_long:])
     groups: dict[tuple[str, int, bool], list[pytest.Item]] = {}
     for item in items:
-        if item not in left_out:
+        if item not in long:
             groups.setdefault(_group(item, one_in), []).append(item)
     for (name, n, whole), group_items in groups.items():
         if whole:
             number = len(group_items) if crc32(f"{share} {name}".encode()) < 2**32 / n else 0
         else:
             number = max(round(len(group_items) / n), 1)
-        left_out.update(sorted(group_items, key=lambda item: _place(item, share))[number:])
+        left_out.update(ordered(group_items)[number:])
     return left_out
 
 
