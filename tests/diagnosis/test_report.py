@@ -60,6 +60,9 @@ TABLE = {
 }
 
 
+# -- helpers ---------------------------------------------------------------------------------------
+
+
 def bare(verdict, gap, remains, effects=(), ties=(), parameters=None):
     """Return an answer with this and nothing else."""
     return Diagnosis(
@@ -110,6 +113,9 @@ def svg_texts(svg):
     comment.
     """
     return re.findall(r"<!-- (.*?) -->", svg)
+
+
+# -- the page --------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(4)
@@ -183,6 +189,9 @@ def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     )
 
 
+# -- the heading -----------------------------------------------------------------------------------
+
+
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", ["named", "tie", "none", "not_identifiable"])
 def test_where_much_is_unexplained_the_heading_says_so_and_is_amber(answer, case):
@@ -208,6 +217,9 @@ def test_nats_are_explained_where_they_first_stand(answer, case):
     diagnosis = answer(case)
     text = text_of(render(diagnosis, draw(diagnosis), {}))
     assert text.index("nats") == text.index(f"nats ({NATS})")
+
+
+# -- what remains, and what is not enough ----------------------------------------------------------
 
 
 def test_what_remains_is_what_the_table_above_it_says(answer):
@@ -371,6 +383,9 @@ def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
     )
 
 
+# -- names, tables and proposals -------------------------------------------------------------------
+
+
 def test_a_record_may_have_any_name(answer, recwarn):
     named = answer("named")
     draw(replace(named, traces=(replace(named.traces[0], name="\u2603 \u540d.csv"),)))
@@ -447,6 +462,9 @@ def test_what_could_not_be_written_is_said_at_the_top(answer):
     assert text.index("no compiler") < text.index("What is missing")
 
 
+# -- units -----------------------------------------------------------------------------------------
+
+
 def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
     diagnosis = answer("not_identifiable")
     text = text_of(page_of(diagnosis))
@@ -495,6 +513,9 @@ def test_the_units_follow_the_input(answer, fabricated):
     )
     text = text_of(page_of(replace(answer("named"), model=driven, effects=(zone,))))
     assert "0.300 ± 0.020 A" in text
+
+
+# -- figures ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(4)
@@ -597,6 +618,9 @@ def test_a_record_shorter_than_the_window_is_shown_whole(answer):
     found = worst_part([short])
     assert found is not None
     assert found[1] == slice(0, 300)
+
+
+# -- numbers and words -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
