@@ -7,11 +7,11 @@ python benchmarks/random_mutants.py 100 --seed 1 --report > benchmarks/results/m
 A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
-for a line that is run by none, other lines of its file) run against it: those of a share, the
-room's own first and slow ones last, and if they pass, all tests of these files, of which what takes
-longer than a quarter of an hour is not known. The clone is made and its lines are recorded once,
-with the tests of one share: remove build/mutants to begin with another commit. Tests that fail
-without a mutant do not count.
+for a line that is run by none, other lines of its file) run against it: those of a share, files
+that run few lines first and slow tests last, and if they pass, all tests of these files, of which
+what takes longer than a quarter of an hour is not known. The clone is made and its lines are
+recorded once, with the tests of one share: remove build/mutants to begin with another commit. Tests
+that fail without a mutant do not count.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ ROOMS = (
 )
 RECORDED = "BRISTLE_MUTANTS"  # environment variable: the folder that a process records its lines in
 LONGEST = 900  # s, of one run of tests: a share takes less, so that one that never ends is caught
+FIRST_FILES = 5  # run before all others: most mutants end there
 NOTHING_RAN, NEVER_ENDS = 5, -1  # exit code of pytest, and in its place
 REPLACED: dict[type, tuple[type, ...]] = {
     **{ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.GtE)},
@@ -228,10 +229,13 @@ _recording: Any = None
 
 # -- runs ------------------------------------------------------------------------------------------
 def tests_of(mutant: Mutant, lines: dict[str, dict[str, list[str]]]) -> list[str]:
-    """Return the test files that run the line of a mutant, else those that run its file."""
+    """Return the test files that run the line of a mutant, else those that run its file; first
+    those that run fewest lines of all, which are likely to be about it.
+    """
     of_file = lines.get(mutant.file, {})
     every = {name for names in of_file.values() for name in names}
-    return of_file.get(str(mutant.line), []) or sorted(every)
+    number = Counter(name for file in lines.values() for names in file.values() for name in names)
+    return sorted(of_file.get(str(mutant.line), []) or every, key=lambda name: number[name])
 
 
 def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) -> dict[str, Any]:
@@ -241,12 +245,11 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
     file = TREE / mutant.file
     content = file.read_bytes()
     files = tests_of(mutant, known["lines"])
-    home = [name for name in files if name.split("/")[1] == mutant.file.split("/")[0]]
-    away = [name for name in files if name not in home]
+    first, rest = files[:FIRST_FILES], files[FIRST_FILES:]
     options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"])]
     quick, slow = (["--share", share, "-m", marked] for marked in ("not slow", "slow"))
-    runs = [("default", quick, home), ("default", quick, away), ("default", slow, files)]
-    runs += [("all", ["--all"], home), ("all", ["--all"], away)]
+    runs = [("default", quick, first), ("default", quick, rest), ("default", slow, files)]
+    runs += [("all", ["--all"], first), ("all", ["--all"], rest)]
     try:
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
