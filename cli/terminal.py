@@ -75,7 +75,7 @@ def complain(error: BaseException, debug: bool) -> None:
 
 def complain_each(error: BristleError, debug: bool) -> None:
     """Print an error that has a line for each mistake."""
-    for mistake in str(error).splitlines():
+    for mistake in dict.fromkeys(str(error).splitlines()):
         complain(BristleError(mistake), debug)
 
 

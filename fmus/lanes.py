@@ -33,5 +33,7 @@ def lanes_of(what: str, variant: str | None = None, effects: Sequence[str] = ())
     key = what, variant, tuple(sorted(effects))
     with _making:  # one thread makes what all use
         if key not in _kept:
-            _kept[key] = Lanes(program_of(*key))
+            _kept[key] = Lanes(
+                program_of(*key), what="plant, observer and controller for many runs at a time"
+            )
         return _kept[key].twin()

@@ -5,10 +5,11 @@ digits of one alone.
 from __future__ import annotations
 
 import ctypes
+import logging
 import platform
 from collections.abc import Mapping, Sequence
 from copy import copy
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -45,13 +46,13 @@ class Lanes:
         With one variant.
     width : int, optional
         How many: 2, 4 or 8; as many as the processor's vectors have lanes by default.
+    what : str, optional
+        What is said to be compiled, once a process, if it is not in the cache.
     """
 
-    def __init__(self, program: Program, width: int = 0) -> None:
-        self.program, self.library = (
-            program,
-            _compiled(program, (*ANY_WIDTH, f"-DLANES={width}") if width else ()),
-        )
+    def __init__(self, program: Program, width: int = 0, what: str = "") -> None:
+        options = (*ANY_WIDTH, f"-DLANES={width}") if width else ()
+        self.program, self.library = program, _compiled(program, options, what)
         self.width = int(self.library.lanes_width())
         self._reserve()
 
@@ -147,20 +148,28 @@ class Lanes:
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
 
-def _compiled(program: Program, options: tuple[str, ...]) -> ctypes.CDLL:
+def _compiled(program: Program, options: tuple[str, ...], what: str) -> ctypes.CDLL:
     """Compile a program for this processor (or take it from the cache) and load it."""
     try:
-        return _library(program, Target(options=(OWN_PROCESSOR, *options)))
+        return _library(program, Target(options=(OWN_PROCESSOR, *options)), what)
     except BristleError:  # a compiler that does not know this flag
-        return _library(program, Target(options=options))
+        return _library(program, Target(options=options), what)
 
 
-def _library(program: Program, target: Target) -> ctypes.CDLL:
+def _library(program: Program, target: Target, what: str) -> ctypes.CDLL:
+    def make(out: Path) -> None:
+        if what:
+            _tell(what)
+        compile_shared(lanes_sources(program), out, target)
+
     key = digest(*target.flags(), compiler_identity(), _processor(), *fingerprint(program))
-    name = f"{program.name}-lanes-{key[:24]}{SUFFIX}"
-    return ctypes.CDLL(
-        str(cached(name, lambda out: compile_shared(lanes_sources(program), out, target)))
-    )
+    return ctypes.CDLL(str(cached(f"{program.name}-lanes-{key[:24]}{SUFFIX}", make)))
+
+
+@cache
+def _tell(what: str) -> None:
+    message = "compiling %s once, a few seconds each; later calls take them from the cache"
+    logging.getLogger("bristle").info(message, what)
 
 
 @lru_cache(maxsize=1)

@@ -48,15 +48,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--share", metavar="NAME", help="run the share of the sampled tests that NAME draws"
     )
     group.addoption(
-        "--one-in", type=int, default=1, metavar="N", help="of a share's other tests, run one in N"
+        "--one-in",
+        type=_at_least(1),
+        default=1,
+        metavar="N",
+        help="of a share's other tests, run one in N",
     )
     group.addoption(
         "--long",
-        type=int,
+        type=_at_least(0),
         default=0,
         metavar="N",
-        help="with a share, run N of the long tests, too",
+        help="of the long tests, run N with a share",
     )
+
+
+def _at_least(least: int) -> Callable[[str], int]:
+    """Return what reads a number of an option."""
+
+    def number(text: str) -> int:
+        if int(text) < least:
+            raise ValueError
+        return int(text)
+
+    return number
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -151,8 +166,11 @@ def _group(item: pytest.Item, one_in: int) -> tuple[str, int, bool]:
 
 
 def _place(item: pytest.Item, share: str) -> tuple[int, int]:
-    """Return where a test is in the order of a share: by what it names, then by its own name."""
-    sets = getattr(item, "callspec", None)
+    """Return where a test is in the order of a share: by what it names, then by its own name; what
+    is slow by its own name alone.
+    """
+    slow = item.get_closest_marker("slow")
+    sets = None if slow else getattr(item, "callspec", None)
     known = _drawn_together()
     named = [each for each in _strings(sets.params.values() if sets else ()) if each in known]
     first = named[0] if named else item.nodeid

@@ -77,6 +77,11 @@ def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _plain_text(text: str) -> str:
+    """Return a text as Markdown shows it, without markup."""
+    return re.sub(r"([\\`*\[\]<>&|~])", r"\\\1", text)
+
+
 # -- of the templates ------------------------------------------------------------------------------
 @cache
 def _environment() -> Environment:
@@ -97,6 +102,7 @@ def _environment() -> Environment:
         "identifier": identifier,
         "capitalised": capitalised,
         "image": _image,
+        "plain_text": _plain_text,
         "data": _data,
         "anchored": _anchored,
     }

@@ -82,7 +82,8 @@ def _program(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str
 def _compiled(
     law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...], width: int
 ) -> Lanes:
-    return Lanes(_program(law, effects, velocity, base), width)
+    program = _program(law, effects, velocity, base)
+    return Lanes(program, width, "models of effects")
 
 
 class Simulator:

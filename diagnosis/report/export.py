@@ -179,10 +179,11 @@ def _settings(model: Model) -> dict[str, float]:
 # -- the content of the files ----------------------------------------------------------------------
 @dataclass
 class _Package:
-    """Files by name, what each is, and what could not be made."""
+    """Files by name, what each is, what could not be made, and what there is not to be made."""
 
     content: dict[str, bytes] = field(default_factory=dict)
     meaning: dict[str, str] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
     problems: list[BristleError] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -231,7 +232,9 @@ def _package(
         package.meaning[EXPERIMENT_FILE] = (
             "input to play back in open loop: a record that tells apart what these do not"
         )
-    page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
+    page = render(
+        diagnosis, draw(diagnosis), package.meaning, package.notes, choose, package.absent
+    )
     package.content["report.html"] = page.encode()
     return package
 
@@ -298,7 +301,7 @@ def _add_models(package: _Package, augmented: Augmented, fmi: int, related: Rela
             lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi, related)),
         )
     elif refused:
-        package.meaning["no correction.fmu"] = "; ".join(refused)
+        package.absent["correction.fmu"] = "; ".join(refused)
 
 
 def _about_correction(possible: list[str], refused: list[str]) -> str:

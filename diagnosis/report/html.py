@@ -43,12 +43,13 @@ def render(
     files: Mapping[str, str],
     notes: Sequence[str] = (),
     choose: str | None = None,
+    absent: Mapping[str, str] | None = None,
 ) -> str:
     """Return the page.
 
     `figures` holds SVG text by name, from `figures.draw`; `files` what was written, name and
     meaning; `notes` what could not be written, and why; `choose` is a member of a tie that was
-    chosen by hand.
+    chosen by hand; `absent` holds files that this answer has not, and why.
     """
     return pages.render(
         "bristle.diagnosis.report/report.html",
@@ -62,6 +63,7 @@ def render(
         figures=figures,
         words=captions(diagnosis),
         files=files,
+        absent=absent or {},
         others=[name for name in files if name != "report.html"],
         notes=notes,
         nats=NATS,

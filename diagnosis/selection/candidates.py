@@ -122,12 +122,15 @@ def fit_candidates(
     """Return the named effects, the most promising refitted to the end, and the null."""
     context.prepare()
     done: list[str] = []
+    present = ", ".join(context.fitted.servo.effects)
+    beside = f" beside {present}" if present else ""
 
     def screened(name: str) -> EffectFit:
         if context.options.late:
             return EffectFit(name, None, reason=OUT_OF_TIME)
         done.append(name)
-        context.options.progress(name, (len(done) - 1) / max(len(names), 1))
+        share = (len(done) - 1) / max(len(names), 1)
+        context.options.progress(f"{name}{beside}", share)
         return in_time(lambda: _screened(context, name, effort), EffectFit(name, None))
 
     def in_time(candidate: Callable[[], EffectFit], otherwise: EffectFit) -> EffectFit:

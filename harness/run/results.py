@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.common.output import complain, plain, replace_files, to_json
+from bristle.common.output import check_page, complain, plain, replace_files, to_json
 from bristle.common.signals import table_text
 from bristle.harness.run.checked import Clock
 from bristle.harness.run.outcome import Outcome
@@ -69,6 +69,7 @@ def refuse_strange(target: Path) -> None:
             p.is_file() and p.suffix in RESULT_SUFFIXES for p in inside
         )
     if not ours:
+        check_page(target, "result.json")
         raise BristleError(
             f"{target}: exists and is no result folder of bristle; write elsewhere or rename the"
             " scenario"

@@ -24,7 +24,7 @@ from typing import Any
 from bristle.common.errors import BristleError
 from bristle.harness.run.checked import RunOptions
 from bristle.harness.run.run import build_and_check, run
-from bristle.harness.scenario.catalogue import find_scenario, is_scenario
+from bristle.harness.scenario.catalogue import find_scenario, is_scenario, scenario_files
 from bristle.harness.scenario.vary import refuse_conflicts
 
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
@@ -253,6 +253,8 @@ def _files(given: Path) -> list[Path]:
         return [find_scenario(given)]
     inside = sorted(given.glob("*.toml"))
     scenarios = [path for path in inside if is_scenario(path)]
+    if not scenarios and str(given) in scenario_files():
+        return [find_scenario(given)]
     if not scenarios:
         raise BristleError(
             f"{given}: no scenario file in this folder; a scenario is a .toml file with a table"

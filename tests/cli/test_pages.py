@@ -61,5 +61,5 @@ def test_a_validation_replaces_its_own_page_and_a_run_no_page_of_a_validation(
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     code, _, complaint = call("run", "quick", "--out", tmp_path)
     assert code == 2
-    assert complaint.startswith(f"bristle: {out}: exists and is no result folder of bristle")
+    assert complaint.startswith(f"bristle: {out}: 'report.html' in it is of bristle validate;")
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before

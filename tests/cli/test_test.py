@@ -1,9 +1,13 @@
 """`bristle test`: exit codes, what is printed, and that nothing runs where something cannot."""
 
 import json
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from bristle.common.errors import BristleError
+from bristle.harness.suite import suite
 
 SCENARIO = """
 duration = "1 s"
@@ -141,3 +145,22 @@ def test_files_that_are_left_out_of_a_folder_are_named(call, tmp_path):
         f"bristle: {tmp_path}: left out 1 of 2 .toml files, which have no table [observer]:"
         " misspelt.toml" in err
     )
+
+
+def test_a_mistake_is_said_once_for_all_values(call, tmp_path):
+    bad = tmp_path / "bad.toml"
+    bad.write_text("[plant", encoding="utf-8")
+    vary = "controller.parameters.seed=[1,2]"
+    code, _, err = call("test", bad, "--vary", vary, "--out", tmp_path / "out")
+    assert code == 2
+    assert err.count("not valid TOML") == 1
+
+
+def test_a_folder_without_scenarios_takes_no_shipped_one_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quick").mkdir()
+    (tmp_path / "slow").mkdir()
+    [path] = suite._files(Path("quick"))
+    assert path.name == "quick.toml"
+    with pytest.raises(BristleError, match="slow: no scenario file in this folder"):
+        suite._files(Path("slow"))

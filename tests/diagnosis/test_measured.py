@@ -27,7 +27,6 @@ from bristle.diagnosis.validation.long_simulation import (
     refit_growing,
 )
 
-pytestmark = pytest.mark.long
 _PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
 _spec = importlib.util.spec_from_file_location("measured", _PATH)
 assert _spec is not None
@@ -122,7 +121,7 @@ def test_emps(data):
     assert found.proposals == ()
     for name, published in (("J", 95.1089), ("a2", 203.5034), ("Fc", 20.3935)):
         assert found.fit[name]["value"] == pytest.approx(published, rel=0.08)
-    seen = excitation(model, [record])
+    seen = excitation(model, [record]).numbers
     assert seen["duration"]["value"] == pytest.approx(24.84, rel=1e-3)
     assert seen["range_travelled"]["unit"] == "m"
 
@@ -136,8 +135,8 @@ def test_odrive(compensated, data):
     records, found = judged(model, entries)
     assert found.proposals == ()
     assert all(np.ptp(r.y) == pytest.approx(2 * np.pi * 0.95, rel=0.02) for r in records)
-    caveats = excitation(model, records)["caveats"]
-    assert any("one direction" in line for line in caveats)
+    caveats = excitation(model, records).caveats
+    assert any("one direction" in said(line) for line in caveats)
 
 
 def named(model, entries):
@@ -145,6 +144,7 @@ def named(model, entries):
     return {effect.group for effect in diagnose(model, taken(model, entries)).effects}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("compensated", "groups"), [(False, [{"cogging"}]), (True, [set(), {"cogging"}])]
 )
@@ -156,6 +156,7 @@ def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(
     assert named(model, data.odrive(compensated)) in groups
 
 
+@pytest.mark.long
 def test_friction_by_direction_of_a_worn_axis_is_named_and_holds_over_the_whole_record(data):
     """An offset is the next best: with it twice the error is left on held-out segments, and the
     residual still follows velocity.
@@ -168,6 +169,7 @@ def test_friction_by_direction_of_a_worn_axis_is_named_and_holds_over_the_whole_
     assert whole.rms_after < 2.7e-3
 
 
+@pytest.mark.slow
 def test_emps_over_the_whole_record(data):
     """With an offset as the only effect: what its authors and others found over the whole record,
     by halves too.

@@ -462,6 +462,14 @@ def test_what_could_not_be_written_is_said_at_the_top(answer):
     assert text.index("no compiler") < text.index("What is missing")
 
 
+def test_a_file_that_this_answer_has_not_is_no_link(answer):
+    page = page_of(answer("named"), absent={"correction.fmu": "it acts on the sensor"})
+    assert "no correction.fmu" in text_of(page)
+    assert "it acts on the sensor" in text_of(page)
+    assert 'href="diagnosis.json"' in page
+    assert "correction.fmu" not in " ".join(re.findall(r'href="[^"]*"', page))
+
+
 # -- units -----------------------------------------------------------------------------------------
 
 

@@ -200,3 +200,21 @@ def test_lanes_of_another_time_base_are_refused() -> None:
     values = [{"sample_time": 1e-3 * (k + 1)} for k in range(lanes.width)]
     with pytest.raises(BristleError, match="'sample_time' differs between lanes"):
         lanes.initialise(values, 0.0, {})
+
+
+def test_what_is_compiled_is_told_once(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path))
+    caplog.set_level("INFO", "bristle")
+    program = program_of("controller")
+    for width in (2, 2, 4):
+        Lanes(program, width, "what a test compiles")
+    said = "compiling what a test compiles once, a few seconds each; later calls take them"
+    assert [record.getMessage()[: len(said)] for record in caplog.records] == [said]
+
+
+def test_what_is_in_the_cache_is_not_told(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path))
+    caplog.set_level("INFO", "bristle")
+    for what in ("", "what is there"):
+        Lanes(program_of("controller"), 2, what)
+    assert caplog.records == []
