@@ -111,17 +111,20 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what the share does not draw, and begin with the files that have most slow tests,
-    then most tests: no process is left with a long one at the end.
+    """Leave out what the share does not draw, and begin with the files that have long tests, most
+    slow tests, then most tests: no process is left with a long one at the end.
     """
     if config.option.share is not None:
         option = config.option
         left_out = _left_out(items, option.share, option.one_in, option.long)
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
-    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    long, slow = (
+        Counter(item.path for item in items if item.get_closest_marker(mark))
+        for mark in ("long", "slow")
+    )
     number = Counter(item.path for item in items)
-    items.sort(key=lambda item: (-slow[item.path], -number[item.path]))
+    items.sort(key=lambda item: (-long[item.path], -slow[item.path], -number[item.path]))
 
 
 def _left_out(
