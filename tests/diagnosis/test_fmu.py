@@ -88,7 +88,7 @@ def test_effects_of_the_fmu_are_not_named_and_its_wrong_parameter_is_reported(tr
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.long
+@pytest.mark.sampled(4)
 def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records):
     found = diagnose_fmu(
         obtain("plant", law="coulomb", parameters=SERVO | {"J": 0.15, "a2": 0.3}),
