@@ -7,7 +7,7 @@ python benchmarks/random_mutants.py 100 --seed 1 --report > benchmarks/results/m
 A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
-for a line that is run by none, other lines of its file) run against it: those of a share, files
+for a line that is run by none, others of its file or folder) run against it: those of a share, files
 that run few lines first and slow tests last, and if they pass, all tests of these files, of which
 what takes longer than a quarter of an hour is not known. The clone is made and its lines are
 recorded once, with the tests of one share: remove build/mutants to begin with another commit. Tests
@@ -229,13 +229,22 @@ _recording: Any = None
 
 # -- runs ------------------------------------------------------------------------------------------
 def tests_of(mutant: Mutant, lines: dict[str, dict[str, list[str]]]) -> list[str]:
-    """Return the test files that run the line of a mutant, else those that run its file; first
-    those that run fewest lines of all, which are likely to be about it.
+    """Return the test files that run the line of a mutant, else those that run its file, else those
+    that run others of its folder (what runs in processes of its own is not recorded); first those
+    that run fewest lines of all, which are likely to be about it.
     """
-    of_file = lines.get(mutant.file, {})
-    every = {name for names in of_file.values() for name in names}
-    number = Counter(name for file in lines.values() for names in file.values() for name in names)
-    return sorted(of_file.get(str(mutant.line), []) or every, key=lambda name: number[name])
+    names = set(lines.get(mutant.file, {}).get(str(mutant.line), []))
+    for place in (mutant.file, *map(str, Path(mutant.file).parents)):
+        if not names:
+            names = {
+                name
+                for file, of_file in lines.items()
+                if file.startswith(place)
+                for those in of_file.values()
+                for name in those
+            }
+    number = Counter(name for file in lines.values() for each in file.values() for name in each)
+    return sorted(names, key=lambda name: (number[name], name))
 
 
 def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) -> dict[str, Any]:
