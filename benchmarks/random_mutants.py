@@ -7,9 +7,9 @@ python benchmarks/random_mutants.py 100 --seed 1 --report > benchmarks/results/m
 A mutant is one change of the code of a room, drawn evenly from all that there are: a comparison, an
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
-for a line that is run by none, others of its file or folder) run against it: those of a share, files
-that run few lines first and slow tests last, and if they pass, all tests of these files, of which
-what takes longer than a quarter of an hour is not known. The clone is made and its lines are
+for a line that is run by none, others of its file or folder) run against it: those of a share,
+files that run few lines first and slow tests last, and if they pass, all tests of these files, of
+which what takes longer than a quarter of an hour is not known. The clone is made and its lines are
 recorded once, with the tests of one share: remove build/mutants to begin with another commit. Tests
 that fail without a mutant do not count.
 """
