@@ -13,7 +13,7 @@ from bristle.common.errors import BristleError
 from bristle.fmus.conformance import POINTS, Verdict, static_conformance
 
 sys.path.insert(0, str(Path(__file__).parent))
-from mutants import PACKING_MUTANTS, STATIC_MUTANTS, good_entries, of_fmpy, pack, pack_badly
+from mutants import PACKING_MUTANTS, STATIC_MUTANTS, good_entries, of_fmpy, pack, pack_badly, swap
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the mutants are those of Linux")
 
@@ -38,6 +38,13 @@ def test_mutant(point, fmi, change, entries, tmp_path):
     changed = dict(entries[fmi])
     change(changed)
     assert point in failed(pack(tmp_path / "mutant.fmu", changed))
+
+
+def test_limits_may_be_equal(entries, tmp_path):
+    """One value is a range, too."""
+    changed = dict(entries[2])
+    swap('min="-10" max="10"', 'min="0" max="0"')(changed)
+    assert "description-limits" not in failed(pack(tmp_path / "one.fmu", changed))
 
 
 @pytest.mark.parametrize("point", PACKING_MUTANTS)
