@@ -153,8 +153,12 @@ def run_tests(
 ) -> tuple[int, list[str]]:
     """Run tests in the clone; return pytest's exit code or NEVER_ENDS, and which tests failed."""
     data = os.environ.get("BRISTLE_DATA", str(ROOT.parent / "shared" / "data"))
-    own = {"PYTHONPATH": str(SITE), "BRISTLE_CACHE": str(PLACE / "cache"), "BRISTLE_DATA": data}
-    own["BRISTLE_CFLAGS"] = "-O1"  # as shares have it, so that both find the same in the cache
+    own = {
+        "PYTHONPATH": str(SITE),
+        "BRISTLE_CACHE": str(PLACE / "cache"),
+        "BRISTLE_DATA": data,
+        "BRISTLE_CFLAGS": "-O1",  # as shares have it, so that both find the same in the cache
+    }
     command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", *arguments]
     running = subprocess.Popen(
         command,

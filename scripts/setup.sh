@@ -35,7 +35,8 @@ stamp="$venv/installed-${extras:-core}"
 if [ ! -e "$stamp" ] || [ pyproject.toml -nt "$stamp" ]; then
     echo "installing bristle${extras:+[$extras]} into ${venv#"$root/"}" >&2
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "setuptools>=77" wheel
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-build-isolation -e ".${extras:+[$extras]}"  # what is imported is compiled then
+    # without compiling: Python compiles what it imports, a small part of it
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-build-isolation -e ".${extras:+[$extras]}"
     touch "$stamp"
 fi
 export PATH="$venv/bin:$PATH"

@@ -142,12 +142,12 @@ def _left_out(
     def ordered(items: Iterable[pytest.Item]) -> list[pytest.Item]:
         return sorted(items, key=lambda item: _place(item, share))
 
-    long = ordered(item for item in items if item.get_closest_marker("long"))
-    left_out = set(long[number_of_long:])
+    long: list[pytest.Item] = []
     groups: dict[tuple[str, int, bool], list[pytest.Item]] = {}
     for item in items:
-        if item not in long:
-            groups.setdefault(_group(item, one_in), []).append(item)
+        is_long = item.get_closest_marker("long")
+        (long if is_long else groups.setdefault(_group(item, one_in), [])).append(item)
+    left_out = set(ordered(long)[number_of_long:])
     for (name, n, whole), group_items in groups.items():
         if whole:
             number = len(group_items) if crc32(f"{share} {name}".encode()) < 2**32 / n else 0

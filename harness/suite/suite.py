@@ -253,9 +253,9 @@ def _files(given: Path) -> list[Path]:
         return [find_scenario(given)]
     inside = sorted(given.glob("*.toml"))
     scenarios = [path for path in inside if is_scenario(path)]
-    if not scenarios and str(given) in scenario_files():
-        return [find_scenario(given)]
     if not scenarios:
+        if str(given) in scenario_files():
+            return [find_scenario(given)]
         raise BristleError(
             f"{given}: no scenario file in this folder; a scenario is a .toml file with a table"
             " [observer]"

@@ -156,7 +156,7 @@ def test_a_mistake_is_said_once_for_all_values(call, tmp_path):
     assert err.count("not valid TOML") == 1
 
 
-def test_a_folder_without_scenarios_takes_no_shipped_one_its_name(tmp_path, monkeypatch):
+def test_a_folder_without_scenarios_does_not_hide_a_shipped_one_of_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick").mkdir()
     (tmp_path / "slow").mkdir()

@@ -15,7 +15,7 @@ NAMED = re.compile(rf"`((?:{FOLDERS})/[\w/.-]+)`")
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_file_that_is_named_is_there(page: Path) -> None:
-    named = {name for name in NAMED.findall(page.read_text(encoding="utf-8"))}
+    named = set(NAMED.findall(page.read_text(encoding="utf-8")))
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 
