@@ -8,10 +8,10 @@ A mutant is one change of the code of a room, drawn evenly from all that there a
 operator, a number or a condition changed, a returned value dropped. It is put into a clone of the
 last commit under build/mutants, and the test files that ran its line there when all was well (or,
 for a line that is run by none, others of its file or folder) run against it: those of a share,
-files that run few lines first and slow tests last, and if they pass, all tests of these files, of
-which what takes longer than a quarter of an hour is not known. The clone is made and its lines are
-recorded once, with the tests of one share: remove build/mutants to begin with another commit. Tests
-that fail without a mutant do not count.
+files that run few lines first and slow tests last, and if they pass, all tests of the five files
+that run fewest lines, of which what takes longer than five minutes is not known. The clone is made
+and its lines are recorded once, with the tests of one share: remove build/mutants to begin with
+another commit. Tests that fail without a mutant do not count.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ ROOMS = (
     *("harness", "diagnosis", "cli", "common"),
 )
 RECORDED = "BRISTLE_MUTANTS"  # environment variable: the folder that a process records its lines in
-LONGEST = 900  # s, of one run of tests: a share takes less, so that one that never ends is caught
-FIRST_FILES = 5  # run before all others: most mutants end there
+# s, of one run of tests: a share takes less, so that one that never ends is caught
+LONGEST = {"default": 900, "all": 300}
+FIRST_FILES = 5  # run before all others, and with all tests: most mutants end there
 NOTHING_RAN, NEVER_ENDS = 5, -1  # exit code of pytest, and in its place
 REPLACED: dict[type, tuple[type, ...]] = {
     **{ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.GtE)},
@@ -149,7 +150,7 @@ def prepare() -> None:
 
 
 def run_tests(
-    *arguments: str, longest: float = LONGEST, **environment: str
+    *arguments: str, longest: float = LONGEST["default"], **environment: str
 ) -> tuple[int, list[str]]:
     """Run tests in the clone; return pytest's exit code or NEVER_ENDS, and which tests failed."""
     data = os.environ.get("BRISTLE_DATA", str(ROOT.parent / "shared" / "data"))
@@ -186,7 +187,7 @@ def record_lines(share: str, processes: str) -> None:
     path = os.pathsep.join((str(SITE), str(Path(__file__).parent)))
     options = ["-p", Path(__file__).stem, "-n", processes, "--share", share]
     code, failed = run_tests(
-        *options, longest=4 * LONGEST, PYTHONPATH=path, **{RECORDED: str(found)}
+        *options, longest=4 * LONGEST["default"], PYTHONPATH=path, **{RECORDED: str(found)}
     )
     if code == NEVER_ENDS:
         sys.exit("the tests do not end without a mutant")
@@ -263,12 +264,14 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
     options = ["-x", "-n", processes, *(f"--deselect={name}" for name in known["failed"])]
     quick, slow = (["--share", share, "-m", marked] for marked in ("not slow", "slow"))
     runs = [("default", quick, first), ("default", quick, rest), ("default", slow, files)]
-    runs += [("all", ["--all"], first), ("all", ["--all"], rest)]
+    runs += [("all", ["--all"], first)]
     try:
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
         for name, run, those in runs:
-            code, failed = run_tests(*run, *options, *those) if those else (NOTHING_RAN, [])
+            code, failed = NOTHING_RAN, []
+            if those:
+                code, failed = run_tests(*run, *options, *those, longest=LONGEST[name])
             if code == NEVER_ENDS and name == "all":
                 return asdict(mutant) | {"caught": "not known", "by": []}
             if code not in (0, NOTHING_RAN):
