@@ -640,8 +640,9 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     assert "no multiples of the step" in message(lambda: compare_folders(other, full))
     (other / "signals.csv").write_text("time,u\n", encoding="utf-8")
     assert "no numbers below its head" in message(lambda: compare_folders(other, full))
-    (other / "signals.csv").write_text("time,u\n0,1\n1e300,1\n", encoding="utf-8")
-    assert "its times must rise, from 0 to 6 s" in message(lambda: compare_folders(other, full))
+    for outside in ("0,1\n1e300,1", "-0.001,1\n0,1", "0,1\n6.001,1"):  # one step is enough
+        (other / "signals.csv").write_text(f"time,u\n{outside}\n", encoding="utf-8")
+        assert "its times must rise, from 0 to 6 s" in message(lambda: compare_folders(other, full))
     (other / "signals.csv").write_text("time,u\n0,one\n", encoding="utf-8")
     assert "no table of numbers" in message(lambda: compare_folders(other, full))
     (other / "result.json").write_text("[]", encoding="utf-8")
