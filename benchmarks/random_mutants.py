@@ -284,7 +284,7 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
 def report(results: list[dict[str, Any]]) -> str:
     """Return the table of the results, and what was not caught."""
     rows = Counter((each["file"].split("/")[0], each["caught"]) for each in results)
-    lines = ["# Random faults that the tests notice", "", __doc__.split("\n\n")[2], ""]
+    lines = ["# Random faults that the tests notice", "", __doc__.split("\n\n")[2].strip(), ""]
     lines += [
         "| room | mutants | caught by a share | by all tests | not known of all |",
         "|---|---|---|---|---|",
