@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from bristle.diagnosis.validation.long_simulation import (
     stays,
     with_fitted_starts,
 )
+from bristle.diagnosis.validation.whole_records import _whole_records
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -206,6 +208,26 @@ def test_starts_are_fitted_but_not_parameters():
 
 
 # -- the answer ------------------------------------------------------------------------------------
+@pytest.mark.parametrize("refitted", [True, False])
+def test_horizons_also_give_the_error_with_the_parameters_of_the_segments(refitted: bool) -> None:
+    """Stand-ins for the models: errors of 3 before, 2 as the segments gave them, 1 refitted."""
+    grown = SimpleNamespace(fit=object() if refitted else None, seconds=8.0, whole=True)
+
+    def simulated(records: object, seconds: float, refitted: bool = True) -> SimpleNamespace:
+        return SimpleNamespace(error=1.0 if refitted else 2.0, measured=(), simulated=())
+
+    before = SimpleNamespace(simulated=lambda *_: SimpleNamespace(error=3.0, simulated=()))
+    after = SimpleNamespace(grown=grown, simulated=simulated)
+    records = SimpleNamespace(all=(), horizons=lambda segment: [2.0, 8.0])
+    case = SimpleNamespace(
+        dataset=SimpleNamespace(segments=SimpleNamespace(seconds=0.4)), records=()
+    )
+    found = _whole_records(case, records, before, after, {})
+    usual = 2.0 if refitted else 1.0
+    rows = [(h.seconds, h.before, h.segments, h.after) for h in found.horizons]
+    assert rows == [(seconds, 3.0, usual, 1.0) for seconds in (0.4, 2.0, 8.0)]
+
+
 @pytest.mark.long
 def test_a_diagnosis_reports_whole_records(case):
     made = case("bias")
