@@ -2,6 +2,7 @@
 their data say.
 """
 
+import math
 import re
 import shutil
 import subprocess
@@ -61,6 +62,11 @@ def drawn(clock="run"):
 def test_an_identifier_may_break_between_its_parts_but_not_in_a_number():
     assert identifier("plant.J_0=0.001 kg.m2") == "plant.<wbr>J_<wbr>0=<wbr>0.001 kg.<wbr>m2"
     assert identifier("sigma0.error<") == "sigma0.<wbr>error&lt;"
+
+
+@pytest.mark.parametrize("value", [None, math.nan, -math.inf, "text", True])
+def test_what_is_no_finite_number_is_a_dash(value):
+    assert number(value) == "–"
 
 
 def test_every_heading_has_an_address_of_its_own():
