@@ -233,6 +233,7 @@ def test_a_bound_that_the_base_refit_ends_at_is_said(
     assert "augmented.fmu" in answer["files"]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.usefixtures("few")
 def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     measured: Callable[..., Any], model: Model, tmp_path: Path
