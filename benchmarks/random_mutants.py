@@ -269,9 +269,9 @@ def judged(mutant: Mutant, known: dict[str, Any], share: str, processes: str) ->
         changed = content[: mutant.start] + mutant.after.encode() + content[mutant.end :]
         file.write_bytes(changed)
         for name, run, those in runs:
-            code, failed = NOTHING_RAN, []
-            if those:
-                code, failed = run_tests(*run, *options, *those, longest=LONGEST[name])
+            if not those:
+                continue
+            code, failed = run_tests(*run, *options, *those, longest=LONGEST[name])
             if code == NEVER_ENDS and name == "all":
                 return asdict(mutant) | {"caught": "not known", "by": []}
             if code not in (0, NOTHING_RAN):
