@@ -286,7 +286,7 @@ def report(results: list[dict[str, Any]]) -> str:
     rows = Counter((each["file"].split("/")[0], each["caught"]) for each in results)
     lines = ["# Random faults that the tests notice", "", __doc__.split("\n\n")[2].strip(), ""]
     lines += [
-        "| room | mutants | caught by a share | by all tests | not known of all |",
+        "| room | mutants | caught by a share | or by all tests of five files | not known |",
         "|---|---|---|---|---|",
     ]
     every = ("default", "all", "nothing", "not known")
@@ -296,7 +296,7 @@ def report(results: list[dict[str, Any]]) -> str:
             for caught in (every, ("default",), ("default", "all"), ("not known",))
         ]
         lines.append(f"| {room} | {' | '.join(map(str, numbers))} |")
-    lines += ["", "Not caught by all tests, or by the share only not:", ""]
+    lines += ["", "Not caught by the share, and whether by all tests of five files:", ""]
     lines += [
         f"- {each['file']}:{each['line']}: `{' '.join(each['before'].split())}` -> "
         f"`{each['after']}` ({each['caught']})"
