@@ -1,0 +1,242 @@
+"""A servo fitted to the innovations of its sliding motion, with the noise that the records show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bristle.common.errors import NotStaticError
+from bristle.common.table import Array
+from bristle.diagnosis.estimation.simulator import Free
+from bristle.diagnosis.sliding.kalman import PARAMETERS, Filter, Noise
+from bristle.diagnosis.sliding.stretches import Stretches
+from bristle.diagnosis.sliding.torque import Names, sliding_torque
+
+ITERATIONS = 40  # most steps of a fit
+STOP_GAIN = 0.01  # nats: a step that gains less ends a fit
+LARGEST_STEP = 1.5  # of a logarithm: largest step of a fit
+CORNERS = (0.02, 300.0)  # Hz: corner frequencies that a disturbance may have
+START_CORNER = 5.0  # Hz: where a fit begins
+START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
+LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
+BLOCKS = 200  # parts of the records whose scores count as independent
+LEAST_SAMPLES = 500  # counted samples from which on a fit is tried
+INERTIA, VISCOUS = "J", "a2"
+
+
+@dataclass(frozen=True)
+class SlidingModel:
+    """What is fitted: law and effects, their free parameters, and where records slide."""
+
+    law: str
+    effects: Names
+    free: tuple[Free, ...]
+    over: Stretches
+    resolution: float
+
+    def torque(self, values: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return the torque as of `sliding_torque`, with its slopes by the free parameters."""
+        names = tuple(f.name for f in self.free)
+        return sliding_torque(self.law, self.effects, names, values, self.over)
+
+
+@dataclass(frozen=True)
+class SlidingFit:
+    """A fit: parameters by name, noise, log-likelihood [nats], and what its derivatives need.
+
+    The parameters of `slopes` (counted, k) and `information` (k, k) are the free ones in their
+    units, then the logarithms of disturbance, corner frequency and sensor noise.
+    """
+
+    model: SlidingModel
+    values: dict[str, float]
+    noise: Noise
+    total: float
+    filter: Filter
+    innovations: Array
+    slopes: Array
+    variance_slopes: Array
+
+    @cached_property
+    def scores(self) -> Array:
+        """Slopes of the log-likelihood of each sample (counted, k)."""
+        variance, e = self.filter.variance[:, None], self.innovations[:, None]
+        return np.asarray(
+            -self.slopes * (e / variance)
+            - 0.5 * self.variance_slopes * ((1.0 - e * e / variance) / variance)
+        )
+
+    @cached_property
+    def information(self) -> Array:
+        """Fisher information (k, k), that of the priors included."""
+        variance = self.filter.variance[:, None]
+        own, other = self.slopes / np.sqrt(variance), self.variance_slopes / variance
+        prior = [0.0 if f.nominal is None else self._prior(f)[1] for f in self.model.free]
+        return np.asarray(own.T @ own + 0.5 * other.T @ other + np.diag([*prior, 0.0, 0.0, 0.0]))
+
+    def _prior(self, f: Free) -> tuple[float, float]:
+        """Return slope and curvature of the logarithm of a parameter's prior, in its unit."""
+        assert f.nominal is not None
+        value = self.values[f.name]
+        by = (1.0 / value if f.factor else 1.0) / f.prior_sd
+        return -by * (f.scaled(value) - f.nominal) / f.prior_sd, by**2
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Slope of the log-likelihood (k,), that of the priors included."""
+        prior = [0.0 if f.nominal is None else self._prior(f)[0] for f in self.model.free]
+        return np.asarray(self.scores.sum(axis=0) + np.array([*prior, 0.0, 0.0, 0.0]))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the parameters (k, k).
+
+        Source: white1982 (sandwich), kunsch1989 (blocks).
+        """
+        parts = np.array_split(self.scores, BLOCKS)
+        sums = np.array([part.sum(axis=0) for part in parts])
+        inverse = np.linalg.pinv(self.information, rcond=1e-14, hermitian=True)
+        return np.asarray(inverse @ (sums.T @ sums) @ inverse)
+
+    def deviations(self) -> dict[str, float]:
+        """Return the standard deviations of the free parameters."""
+        own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return {f.name: float(sd) for f, sd in zip(self.model.free, own, strict=False)}
+
+    def regress(self, torques: Array) -> tuple[Array, float]:
+        """Return coefficients (k,) of torques (samples, k) [N.m] beside the free parameters, and
+        their gain [nats].
+        """
+        scale = np.sqrt(self.filter.variance)[:, None]
+        # what torques add to the prediction the measurement lacks without them
+        columns = -self.filter.columns(np.ascontiguousarray(torques.T)) / scale
+        own = np.linalg.qr(_scaled(self.slopes[:, : len(self.model.free)] / scale))[0]
+        left = self.innovations / scale[:, 0]
+        left, columns = left - own @ (own.T @ left), columns - own @ (own.T @ columns)
+        size = np.sqrt(np.square(columns).sum(axis=0)) + 1e-300
+        answer = np.linalg.lstsq(columns / size, left, rcond=1e-9)[0]
+        return answer / size, 0.5 * float(answer @ ((columns / size).T @ left))
+
+
+def _scaled(columns: Array) -> Array:
+    size = np.sqrt(np.square(columns).sum(axis=0))
+    return columns[:, size > 0] / size[size > 0]
+
+
+def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> SlidingFit:
+    """Return a model at these parameters."""
+    torque, by = model.torque(values)
+    through = Filter(noise, model.over)
+    e, own = through.innovations(model.over.measured, torque)
+    slopes = np.column_stack([through.columns(by), own[:, 2:]])
+    variance_slopes = np.zeros_like(slopes)
+    variance_slopes[:, -3:] = through.variance_slope[:, 2:]
+    # inertia and viscous friction act in the filter itself
+    for k, name in enumerate((INERTIA, VISCOUS)):
+        for place in [i for i, f in enumerate(model.free) if f.name == name]:
+            slopes[:, place] += own[:, k] / values[name]
+            variance_slopes[:, place] += through.variance_slope[:, k] / values[name]
+    total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
+    for f in model.free:
+        if f.nominal is not None:
+            total -= 0.5 * ((f.scaled(values[f.name]) - f.nominal) / f.prior_sd) ** 2
+    return SlidingFit(model, dict(values), noise, total, through, e, slopes, variance_slopes)
+
+
+def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
+    """Return a fit after a step (k,), within the intervals; None where nothing is known there."""
+    model, values = fit.model, dict(fit.values)
+    for f, d in zip(model.free, step, strict=False):
+        value = values[f.name]
+        if f.factor:
+            limit = LARGEST_STEP
+            value *= math.exp(float(np.clip(d / value, -limit, limit)))
+        else:
+            value += float(d)
+        values[f.name] = f.clip(value)
+    least = LEAST_SENSOR * model.resolution / math.sqrt(12.0)
+    moved = np.array([fit.noise.torque, fit.noise.corner, fit.noise.sensor]) * np.exp(
+        np.clip(step[-3:], -LARGEST_STEP, LARGEST_STEP)
+    )
+    noise = Noise(
+        values[INERTIA],
+        max(values[VISCOUS], 1e-6 * values[INERTIA]),
+        float(moved[0]),
+        float(np.clip(moved[1], *CORNERS)),
+        max(float(moved[2]), least),
+    )
+    new = evaluate(model, values, noise)
+    return new if math.isfinite(new.total) else None
+
+
+def _held(fit: SlidingFit) -> Array:
+    """Return which parameters (k,) press against an end of their intervals."""
+    slope, noise = fit.gradient, fit.noise
+    least = LEAST_SENSOR * fit.model.resolution / math.sqrt(12.0)
+    own = [f.leaves(fit.values[f.name], g) for f, g in zip(fit.model.free, slope, strict=False)]
+    corner = (noise.corner <= CORNERS[0] and slope[-2] < 0) or (
+        noise.corner >= CORNERS[1] and slope[-2] > 0
+    )
+    return np.array([*own, False, corner, noise.sensor <= least and slope[-1] < 0])
+
+
+def climb(fit: SlidingFit, iterations: int = ITERATIONS) -> SlidingFit:
+    """Return the likeliest parameters, by steps along the Fisher information.
+
+    Source: levenberg1944, marquardt1963 (damped steps).
+    """
+    damping = 1e-3
+    for _ in range(iterations):
+        free = ~_held(fit)
+        size = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
+        table = fit.information[np.ix_(free, free)] / np.outer(size, size)
+        gain = -math.inf
+        while damping < 1e6:
+            step = np.zeros(len(free))
+            damped = table + damping * np.eye(len(size))
+            step[free] = np.linalg.solve(damped, fit.gradient[free] / size) / size
+            new = _moved(fit, step)
+            gain = -math.inf if new is None else new.total - fit.total
+            if new is not None and gain >= 0:
+                fit, damping = new, max(damping / 10, 1e-8)
+                break
+            damping *= 10
+        if gain < STOP_GAIN:
+            break
+    return fit
+
+
+def fit_sliding(
+    model: SlidingModel, starts: Sequence[Mapping[str, float]]
+) -> SlidingFit | None:
+    """Return the likeliest fit from several starts, each the values of all parameters; None where
+    too little slides or the torque is no function of the motion.
+    """
+    if len(model.over.counted) < LEAST_SAMPLES:
+        return None
+    drive = float(np.sqrt(np.mean(np.square(model.over.u))))
+    ends = []
+    for values in starts:
+        inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
+        noise = Noise(
+            inside[INERTIA],
+            max(inside[VISCOUS], 1e-6 * inside[INERTIA]),
+            START_SHARE * abs(inside.get("b", 1.0)) * drive,
+            START_CORNER,
+            model.resolution,
+        )
+        try:
+            ends.append(climb(evaluate(model, inside, noise)))
+        except NotStaticError:
+            return None
+    return max(ends, key=lambda end: end.total)
+
+
+def with_effect(fit: SlidingFit, name: str, free: tuple[Free, ...]) -> SlidingModel:
+    """Return the model of a fit with an effect more and its free parameters."""
+    model = fit.model
+    return replace(model, effects=(*model.effects, name), free=(*model.free, *free))
