@@ -29,8 +29,8 @@ from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
     Servo,
-    free_parameters,
 )
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.validation.long_simulation import (
     Records,
     fitted_error,

@@ -32,7 +32,10 @@ from truth import RESOLUTION, Array
 from bristle.common.arguments import filled_path
 from bristle.diagnosis import Record, load_model, load_records, records_from_arrays
 from bristle.diagnosis.checks.preparation import dataset_of, prepare_model
-from bristle.diagnosis.estimation.dataset import Piece, Segments
+from bristle.diagnosis.estimation.dataset import (
+    Piece,
+    Segments,
+)
 from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE, REFIT_FACTOR

@@ -15,9 +15,9 @@ from measured_data import Array, Entry
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
-from bristle.diagnosis.estimation.dataset import smooth
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.report.text.said import said
+from bristle.diagnosis.sliding.stretches import smooth
 
 INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 

@@ -21,7 +21,6 @@ from bristle.diagnosis.estimation.dataset import (
     Segments,
     cut,
     motion,
-    smooth,
 )
 from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
@@ -33,12 +32,12 @@ from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
-    Free,
     Servo,
     fixed_values,
-    free_parameters,
 )
+from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.stretches import smooth, stretches_of
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
@@ -49,7 +48,7 @@ USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
 SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
-SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
+SHORTEST_SHARE = 1.0  # of the length of a segment: shortest segment for a model that diverges
 # of the sensor's step: largest deflection of the bristles of rigid friction
 BRISTLE_DEFLECTION = 0.25
 
@@ -163,6 +162,7 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     return Dataset(
         segments,
         moved,
+        stretches_of([(r.time, r.u, r.y) for r in long], h, velocity, resolution),
         resolution,
         least,
         shown.uniform,

@@ -10,11 +10,11 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs
 
 from bristle.common.table import Array
 from bristle.diagnosis.answer import Finding
 from bristle.diagnosis.estimation.noise import Noise, estimate, response
+from bristle.diagnosis.sliding.stretches import Stretches, smooth
 from bristle.records.clock import one_after_the_other, overlap
 
 Mask = NDArray[np.bool_]
@@ -221,15 +221,6 @@ class Motion:
     record: NDArray[np.int_]
 
 
-def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
-    """Return y or its derivative of an order, by a parabola through the samples within `half` s."""
-    reach = max(2, round(half / h))
-    reach = min(reach, (len(y) - 1) // 2)
-    kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
-    padded = np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
-    return np.convolve(padded, kernel, mode="valid")
-
-
 def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: float) -> Piece:
     """Return one record as segments; the samples after the last whole segment are dropped.
 
@@ -280,6 +271,7 @@ class Dataset:
 
     segments: Segments
     motion: Motion
+    stretches: Stretches  # where the records slide
     resolution: float  # step of the sensor [unit of the output]
     # standard deviation of an average below which the sensor's noise cannot be [unit of the output]
     least_sd: float

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.inverse_dynamics import Balance, BalancedModel
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, mean_square, rescored
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, resume
-from bristle.diagnosis.estimation.simulator import Servo
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
+from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
 
 NOISE_FIT_ITERATIONS = 40  # steps of a fit under a given noise
 NOISE_PASSES = 8  # most alternations of noise and parameters
@@ -99,16 +99,18 @@ def fit_with_noise(dataset: Dataset, servo: Servo, values: Mapping[str, float]) 
 def fit_from_several_starts(
     dataset: Dataset, servo: Servo, values: Mapping[str, float]
 ) -> FittedModel:
-    """Fit a servo and its noise from given values and, if that fits poorly, from others.
+    """Fit a servo and its noise from the parameters of its sliding motion and, if that fits poorly,
+    from others.
 
-    These are the parameters of the inverse dynamics and, where the servo diverges, less dry
-    friction. Of results in a tie the one with the fewest parameters at their bounds is returned.
+    These are the given ones and, where the servo diverges, less dry friction. Of results in a tie
+    the one with the fewest parameters at their bounds is returned.
     """
-    first = fit_with_noise(dataset, servo, values)
+    slides = sliding_fit(dataset, servo, values)
+    first = fit_with_noise(dataset, servo, {**values, **(slides.free_values if slides else {})})
     if not fits_poorly(dataset, first.fit):
         return first
     less = reduced_friction_start(first) if has_diverged(dataset, first.fit) else {}
-    others = [*balanced_model(dataset, first).models, *([less] if less else [])]
+    others = [*([{}] if slides else []), *([less] if less else [])]
     ends = [first, *(fit_with_noise(dataset, servo, {**values, **other}) for other in others)]
     most = max(fitted.fit.total for fitted in ends)
     tied = [s for s in ends if s.fit.total > most - TIE_NATS]
@@ -118,6 +120,15 @@ def fit_from_several_starts(
     )
 
 
+def sliding_fit(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> SlidingFit | None:
+    """Return a servo fitted to where the records slide, from given values; None where that does not
+    show it.
+    """
+    own = tuple(f for f in servo.free if not f.name.startswith(f"{OWN_BRISTLES}."))
+    model = SlidingModel(servo.law, servo.effects, own, dataset.stretches, dataset.resolution)
+    return fit_sliding(model, {**servo.fixed, **values})
+
+
 def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
     """Return start values with less dry friction than a servo has; none if the law has none."""
     return {
@@ -125,12 +136,6 @@ def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
         for f in fitted.servo.free
         if f.name.endswith(".Fc")
     }
-
-
-def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
-    """Return the model fitted to the balance of torques along the measured motion."""
-    balance = Balance(dataset.segments, dataset.motion, fitted.problem.counted, fitted.servo.fixed)
-    return BalancedModel(balance, fitted.servo, fitted.fit.values, dataset.noise)
 
 
 def relative_error(dataset: Dataset, fit: Fit) -> float:

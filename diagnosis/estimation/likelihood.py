@@ -12,7 +12,8 @@ from bristle.common.deadline import check_deadline
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Segments
 from bristle.diagnosis.estimation.noise import Noise
-from bristle.diagnosis.estimation.simulator import Free, Simulator
+from bristle.diagnosis.estimation.simulator import Simulator
+from bristle.diagnosis.free_parameter import Free
 
 Mask = NDArray[np.bool_]
 T_DEGREES_OF_FREEDOM = 10.0  # degrees of freedom of the t distribution of a segment's misfit

@@ -23,7 +23,7 @@ from bristle.diagnosis.estimation.likelihood import (
     moved,
     rescored,
 )
-from bristle.diagnosis.estimation.simulator import Free
+from bristle.diagnosis.free_parameter import Free
 from bristle.plant.effects import effect as find_effect
 
 # the problem under which a fit is compared, such as that of its own noise

@@ -6,14 +6,19 @@ import ctypes
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import Chains, Segments, chains_of
+from bristle.diagnosis.estimation.dataset import (
+    Chains,
+    Segments,
+    chains_of,
+)
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import NO_LIMIT
 from bristle.model.lanes import Lanes
 from bristle.model.native import pointer
@@ -38,7 +43,6 @@ OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)
 BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
-START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
 
 
 def fixed_values(h: float) -> dict[str, float]:
@@ -268,53 +272,6 @@ class Simulator:
 
 
 @dataclass(frozen=True)
-class Free:
-    """A fitted parameter: its interval, whether its steps are factors, an optional prior."""
-
-    name: str
-    low: float
-    high: float
-    factor: bool = False
-    nominal: float | None = None  # mean of the prior, on the scale of the steps (`scaled`)
-    prior_sd: float = 1.0  # its standard deviation, on the same scale
-
-    @property
-    def nominal_value(self) -> float:
-        """The prior mean, in its unit."""
-        assert self.nominal is not None
-        return float(np.exp(self.nominal)) if self.factor else self.nominal
-
-    def scaled(self, value: float) -> float:
-        """Return a value on the scale of the parameter's steps: its logarithm if it moves by
-        factors.
-        """
-        return float(np.log(value)) if self.factor else value
-
-    def clip(self, value: float) -> float:
-        """Return the value moved into the interval."""
-        return min(max(value, self.low), self.high)
-
-    def leaves(self, value: float, step: float) -> bool:
-        """True if a step from an end of the interval leads out of it."""
-        return bool((value <= self.low and step < 0) or (value >= self.high and step > 0))
-
-    def at_bound(self, value: float) -> bool:
-        """True at an end of the interval."""
-        near = 1e-9 * min(self.high - self.low, abs(self.low) + 1.0), 1e-9 * abs(self.high)
-        return bool(value <= self.low + near[0] or value >= self.high - near[1])
-
-    def at_binding_bound(self, value: float) -> bool:
-        """True at an end of the interval other than 0, where the parameter is merely absent."""
-        return self.at_bound(value) and value != 0.0
-
-    def widened(self, factor: float) -> Free:
-        """Return the same with both ends moved outwards by a factor; an end at 0 stays."""
-        low = self.low / factor if self.low > 0 else self.low * factor
-        high = self.high * factor if self.high > 0 else self.high / factor
-        return replace(self, low=low, high=high)
-
-
-@dataclass(frozen=True)
 class Servo:
     """The model to which candidates are added.
 
@@ -361,27 +318,3 @@ class Servo:
         return values[f"{name}.stiffness"] >= next(
             f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness"
         )
-
-
-def free_parameters(
-    name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
-) -> tuple[Free, ...]:
-    """Return an effect's free parameters: those with start values, in intervals and `limits`."""
-    free, effect = [], find_effect(name)
-    for p in effect.parameters:
-        short = p.name.removeprefix(f"{name}.")
-        if short not in start:
-            continue
-        low, high = effect.search_interval.get(short, (p.minimum, p.maximum))
-        factor = p.minimum > 0
-        if factor:
-            low, high = (
-                max(low, start[short] / START_FACTOR),
-                min(high, start[short] * START_FACTOR),
-            )
-        low, high = (
-            max(low, limits.get(p.name, (low, high))[0]),
-            min(high, limits.get(p.name, (low, high))[1]),
-        )
-        free.append(Free(p.name, low, high, factor))
-    return tuple(free)

@@ -16,7 +16,8 @@ from bristle.diagnosis.estimation.optimiser import (
     perturbed,
     perturbed_values,
 )
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects

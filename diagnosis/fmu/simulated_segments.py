@@ -12,7 +12,12 @@ import numpy as np
 from bristle.common.errors import RestartError
 from bristle.common.table import Array
 from bristle.diagnosis.answer import Finding, Progress, Reason, finding
-from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
+from bristle.diagnosis.estimation.dataset import (
+    STATE_SMOOTHING,
+    Dataset,
+    Segments,
+)
+from bristle.diagnosis.sliding.stretches import smooth
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import (
     Replay,

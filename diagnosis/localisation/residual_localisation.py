@@ -15,7 +15,10 @@ from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
 from bristle.diagnosis.answer import LISTED_VIEW_P, OUTLIERS, Reason, ResidualView, finding
-from bristle.diagnosis.estimation.dataset import Dataset, Motion
+from bristle.diagnosis.estimation.dataset import (
+    Dataset,
+    Motion,
+)
 from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, evaluate
 from bristle.diagnosis.localisation.maps import residual_map, wave_map

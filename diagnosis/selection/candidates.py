@@ -26,7 +26,8 @@ from bristle.diagnosis.estimation.optimiser import (
     refit_rescored,
     value_under_noise,
 )
-from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
+from bristle.diagnosis.estimation.simulator import Simulator
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts

@@ -30,7 +30,7 @@ from bristle.plant.effects import effects as all_effects
 CONTENDER_SHARE = 0.2
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
 # of the best gain: gain from which on a candidate is tied with the best one where motion is uniform
-RIVAL_SHARE = 0.6
+RIVAL_ERRORS = 4.0
 # standard errors: a simpler candidate that is less far behind takes the place of the best one
 SIMPLER_ERRORS = 1.0
 
@@ -253,9 +253,10 @@ def is_tied(best: EffectFit, other: EffectFit, plain: Fit, uniform: bool) -> boo
     """
     assert best.fit is not None
     assert other.fit is not None
-    if uniform and best.fit.total - other.fit.total < (1 - RIVAL_SHARE) * best.gain_over(plain):
-        return True
     deficit, error = likelihood_difference(best, other)
+    print("TIED?", best.name, other.name, uniform, deficit, error, best.gain_over(plain), best.fit.total - other.fit.total)
+    if uniform and deficit < RIVAL_ERRORS * error:
+        return True
     same = group(other.name) == group(best.name)
     return other.size <= best.size and deficit < max(
         TIE_NATS, SIMPLER_ERRORS * error if same else 0.0

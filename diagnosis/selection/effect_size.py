@@ -9,7 +9,7 @@ import numpy as np
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.optimiser import damped, gradient_of, refit_initial_states
-from bristle.diagnosis.estimation.simulator import Free
+from bristle.diagnosis.free_parameter import Free
 
 LARGEST_FALL = 10.0  # most that the error of one segment counts as lowered, or raised, by
 # times the upper quartile of the segments' squared errors: most that one segment counts for

@@ -12,7 +12,11 @@ from bristle.diagnosis.estimation.fitted_model import (
 )
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters
+from bristle.diagnosis.estimation.simulator import (
+    BRISTLE_EFFECTS,
+    OWN_BRISTLES,
+)
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.localisation.views import is_form, periods_of
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.criterion import ReferenceModel

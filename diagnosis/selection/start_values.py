@@ -20,26 +20,20 @@ from bristle.diagnosis.answer import Progress
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
-    balanced_model,
     fits_poorly,
     has_diverged,
     reduced_friction_start,
+    sliding_fit,
     under_own_noise,
-)
-from bristle.diagnosis.estimation.inverse_dynamics import (
-    BALANCE_SCREENING_ITERATIONS,
-    Balance,
-    Balanced,
-    BalancedModel,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
-    Free,
-    free_parameters,
 )
+from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
+from bristle.diagnosis.sliding.fit import SlidingFit, climb, fit_beside
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -48,7 +42,6 @@ S = TypeVar("S")
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
 # of the mean torque of the input: stands for the dry friction of a model without any
 NO_FRICTION_SHARE = 0.1
-BALANCE_FINALISTS = 2  # start values that are refitted with the noise of the inverse dynamics
 # times the linear estimate of an effect's first parameter, tried where the model fits poorly
 STRENGTH_FACTORS = (1.0, 1.6)
 
@@ -234,17 +227,16 @@ def joint_starts_of(
     """Return the function that gives start values of an effect together with those of a model that
     fits poorly.
 
-    They come from the inverse dynamics or, where the law has internal states, from the nominal
-    model, since the fitted parameters make up for the missing effect. If the model has `diverged`,
-    starts with less dry friction are added.
+    They come from the sliding motion or, where that does not show the model, from the nominal one,
+    since the fitted parameters make up for the missing effect. If the model has `diverged`, starts
+    with less dry friction are added.
     """
-    balanced = balanced_model(context.dataset, context.fitted)
+    fitted = context.fitted
+    slides = sliding_fit(context.dataset, fitted.servo, fitted.fit.values)
     usual = (
-        (lambda name: balance_starts(context, balanced, name))
-        if balanced.models
-        else _nominal_starts(context)
+        (lambda name: sliding_starts(context, slides, name)) if slides else _nominal_starts(context)
     )
-    less = reduced_friction_start(context.fitted)
+    less = reduced_friction_start(fitted)
     if not (less and diverged):
         return usual
     return lambda name: [
@@ -283,65 +275,44 @@ def _joined(values: Mapping[str, float], name: str, starts: Sequence[Start]) -> 
     ]
 
 
-def balance_starts(context: SearchContext, model: BalancedModel, name: str) -> list[JointStart]:
-    """Return the parameters with which an effect explains most in the inverse dynamics; none if
-    that does not show it.
+def sliding_starts(context: SearchContext, slides: SlidingFit, name: str) -> list[JointStart]:
+    """Return the parameters with which an effect explains most of the sliding motion; none if that
+    does not show it.
     """
-    try:
-        fits = []
-        for balance, base in model.fits:
-            starts = context.start_values(name, _balance_evidence(context, model, balance, base))
-            fits += _balance_fits(model, balance, base, name, starts)
-    except BristleError:
-        return []
-    return [max(fits, key=lambda each: each[0])[1]] if fits else []
-
-
-def _balance_fits(
-    model: BalancedModel, balance: Balance, base: Balanced, name: str, starts: Sequence[Start]
-) -> list[tuple[float, JointStart]]:
-    """Return the log-likelihood [nats] and the parameters at the best of these start values."""
-    law, effects = model.servo.law, (*model.servo.effects, name)
     defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(
         name
     ).inactive_values
-    trials = []
-    for start in starts:
-        free = (*model.free, *free_parameters(name, start, model.servo.limits))
-        values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
-        trials.append(
-            (balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start)
-        )
-    trials.sort(key=lambda trial: -trial[0].total)
     fits = []
-    for best, free, start in trials[:BALANCE_FINALISTS]:
-        _, best = model.refit_with_noise(balance, effects, free, best)
-        fits.append(
-            (
-                best.total,
-                JointStart(best.values, {key: best.values[f"{name}.{key}"] for key in start}),
-            )
-        )
-    return fits
+    for start in context.start_values(name, _sliding_evidence(context, slides)):
+        free = free_parameters(name, start, context.fitted.servo.limits)
+        values = {**defaults, **{f"{name}.{k}": v for k, v in start.items()}}
+        try:
+            fits.append((fit_beside(slides, name, free, values), start))
+        except BristleError:
+            return []
+    if not fits:
+        return []
+    best, start = max(fits, key=lambda each: each[0].total)
+    best = climb(best)
+    return [JointStart(best.free_values, {key: best.values[f"{name}.{key}"] for key in start})]
 
 
-def _balance_evidence(
-    context: SearchContext, model: BalancedModel, balance: Balance, balanced: Balanced
-) -> Evidence:
-    """Return what effects derive start values from, by the residual of the inverse dynamics."""
-    m, values = balance.motion, balanced.values
-    _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
+def _sliding_evidence(context: SearchContext, slides: SlidingFit) -> Evidence:
+    """Return what effects derive start values from, by what the model leaves of the sliding
+    motion.
+    """
+    s, values = slides.model.over, slides.values
     return Evidence(
-        m.theta,
-        m.v * m.moving,
-        m.a,
-        m.u,
-        m.time,
-        balance.step,
+        s.theta,
+        s.v * s.slides,
+        s.a,
+        s.u,
+        s.time,
+        s.h,
         context.dataset.resolution,
         values["J"],
-        dry_friction(model.free, values, m.u),
+        dry_friction(slides.model.free, values, s.u),
         values["b"],
-        lambda torques: balance.regress(balanced, own, values["J"], torques),
+        slides.regress,
         context.dataset.turn,
     )

@@ -97,7 +97,7 @@ def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> Searc
         # the effect joins the model, and what it makes superfluous goes
         fitted, removed = _added(context, base, latest)
         rounds.append(_decided(latest, removed=tuple(removed)))
-        if len(rounds) >= MOST_EFFECTS or dataset.uniform:
+        if len(rounds) >= MOST_EFFECTS:
             return SearchOutcome(fitted, tuple(rounds))
         if options.late:
             cut = finding(Reason.NO_FURTHER_EFFECT)

@@ -1,3 +1,3 @@
-"""While a servo slides its friction is a known function: a Kalman filter gives the likelihood of its
-records, in open and in closed loop.
-"""
+"""While a servo slides, its friction is a known function: the likelihood of its records there."""
+
+__all__: list[str] = []

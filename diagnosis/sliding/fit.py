@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from bristle.common.errors import NotStaticError
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.simulator import Free
-from bristle.diagnosis.sliding.kalman import PARAMETERS, Filter, Noise
+from bristle.diagnosis.free_parameter import Free
+from bristle.diagnosis.sliding.kalman import Filter, Noise
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.sliding.torque import Names, sliding_torque
 
@@ -24,6 +24,9 @@ START_CORNER = 5.0  # Hz: where a fit begins
 START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
 LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
 BLOCKS = 200  # parts of the records whose scores count as independent
+FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
+SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
+LEAST_RATE = 1e-6  # 1/s: least viscous friction over inertia that the filter takes
 LEAST_SAMPLES = 500  # counted samples from which on a fit is tried
 INERTIA, VISCOUS = "J", "a2"
 
@@ -102,6 +105,11 @@ class SlidingFit:
         inverse = np.linalg.pinv(self.information, rcond=1e-14, hermitian=True)
         return np.asarray(inverse @ (sums.T @ sums) @ inverse)
 
+    @property
+    def free_values(self) -> dict[str, float]:
+        """Values of the free parameters."""
+        return {f.name: self.values[f.name] for f in self.model.free}
+
     def deviations(self) -> dict[str, float]:
         """Return the standard deviations of the free parameters."""
         own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
@@ -136,10 +144,10 @@ def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> 
     variance_slopes = np.zeros_like(slopes)
     variance_slopes[:, -3:] = through.variance_slope[:, 2:]
     # inertia and viscous friction act in the filter itself
-    for k, name in enumerate((INERTIA, VISCOUS)):
+    for k, (name, value) in enumerate(((INERTIA, noise.inertia), (VISCOUS, noise.viscous))):
         for place in [i for i, f in enumerate(model.free) if f.name == name]:
-            slopes[:, place] += own[:, k] / values[name]
-            variance_slopes[:, place] += through.variance_slope[:, k] / values[name]
+            slopes[:, place] += own[:, k] / value
+            variance_slopes[:, place] += through.variance_slope[:, k] / value
     total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
     for f in model.free:
         if f.nominal is not None:
@@ -152,9 +160,9 @@ def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
     model, values = fit.model, dict(fit.values)
     for f, d in zip(model.free, step, strict=False):
         value = values[f.name]
-        if f.factor:
-            limit = LARGEST_STEP
-            value *= math.exp(float(np.clip(d / value, -limit, limit)))
+        # the inertia stays positive
+        if f.factor or f.name == INERTIA:
+            value *= math.exp(float(np.clip(d / value, -LARGEST_STEP, LARGEST_STEP)))
         else:
             value += float(d)
         values[f.name] = f.clip(value)
@@ -164,7 +172,7 @@ def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
     )
     noise = Noise(
         values[INERTIA],
-        max(values[VISCOUS], 1e-6 * values[INERTIA]),
+        max(values[VISCOUS], LEAST_RATE * values[INERTIA]),
         float(moved[0]),
         float(np.clip(moved[1], *CORNERS)),
         max(float(moved[2]), least),
@@ -210,33 +218,38 @@ def climb(fit: SlidingFit, iterations: int = ITERATIONS) -> SlidingFit:
     return fit
 
 
-def fit_sliding(
-    model: SlidingModel, starts: Sequence[Mapping[str, float]]
-) -> SlidingFit | None:
-    """Return the likeliest fit from several starts, each the values of all parameters; None where
-    too little slides or the torque is no function of the motion.
+def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit | None:
+    """Return the likeliest fit from the values of all parameters; None where too little slides or
+    the torque is no function of the motion.
     """
     if len(model.over.counted) < LEAST_SAMPLES:
         return None
+    inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
     drive = float(np.sqrt(np.mean(np.square(model.over.u))))
-    ends = []
-    for values in starts:
-        inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
-        noise = Noise(
-            inside[INERTIA],
-            max(inside[VISCOUS], 1e-6 * inside[INERTIA]),
-            START_SHARE * abs(inside.get("b", 1.0)) * drive,
-            START_CORNER,
-            model.resolution,
-        )
-        try:
-            ends.append(climb(evaluate(model, inside, noise)))
-        except NotStaticError:
-            return None
-    return max(ends, key=lambda end: end.total)
+    noise = Noise(
+        inside[INERTIA],
+        max(inside[VISCOUS], LEAST_RATE * inside[INERTIA]),
+        START_SHARE * abs(inside["b"]) * drive,
+        START_CORNER,
+        model.resolution,
+    )
+    try:
+        return climb(evaluate(model, inside, noise))
+    except NotStaticError:
+        return None
 
 
-def with_effect(fit: SlidingFit, name: str, free: tuple[Free, ...]) -> SlidingModel:
-    """Return the model of a fit with an effect more and its free parameters."""
-    model = fit.model
-    return replace(model, effects=(*model.effects, name), free=(*model.free, *free))
+def fit_beside(
+    fit: SlidingFit, name: str, free: tuple[Free, ...], values: Mapping[str, float]
+) -> SlidingFit:
+    """Return a fit with an effect more, after a few steps from these values of its parameters.
+
+    A slow disturbance may stand in for the effect: the steps begin with one that is fast.
+
+    Raise `NotStaticError` where its torque is no function of the motion.
+    """
+    old = fit.model
+    model = replace(old, effects=(*old.effects, name), free=(*old.free, *free))
+    noise = replace(fit.noise, corner=max(fit.noise.corner, FAST_CORNER))
+    inside = {f.name: f.clip(values[f.name]) for f in free}
+    return climb(evaluate(model, {**fit.values, **values, **inside}, noise), SCREENING_ITERATIONS)

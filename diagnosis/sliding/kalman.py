@@ -56,9 +56,7 @@ def _library() -> ctypes.CDLL:
     text = (files("bristle.diagnosis.sliding") / "kalman.c").read_text(encoding="utf-8")
     key = digest(text, *FLAGS, compiler_identity())
     name = f"kalman-{key[:24]}{SUFFIX}"
-    loaded = ctypes.CDLL(
-        str(cached(name, lambda out: compile_shared({"kalman.c": text}, out)))
-    )
+    loaded = ctypes.CDLL(str(cached(name, lambda out: compile_shared({"kalman.c": text}, out))))
     loaded.kalman_gains.restype = ctypes.c_longlong
     return loaded
 
@@ -115,7 +113,9 @@ def _starts(models: Array, logarithms: Array, over: Stretches) -> Array:
         known[:, 1, 1] += (START_DOUBT * over.change) ** 2
     known[:, 2, 2] = torque**2
     transition, covariance = models[:, :9].reshape(-1, 3, 3), models[:, 9:18].reshape(-1, 3, 3)
-    return np.asarray(transition @ known @ transition.transpose(0, 2, 1) + covariance).reshape(-1, 9)
+    return np.asarray(transition @ known @ transition.transpose(0, 2, 1) + covariance).reshape(
+        -1, 9
+    )
 
 
 def _with_slopes(values: Array) -> Array:
@@ -152,12 +152,8 @@ class Filter:
             pointer(self._gain_slope),
             pointer(variance_slope),
         )
-        self._gains = _Gains(
-            steady, *(pointer(each) for each in (self._gain, self._gain_slope))
-        )
-        self._over = _Over(
-            len(s.begin), len(s.measured), pointer(s.begin), pointer(s.end), s.h
-        )
+        self._gains = _Gains(steady, *(pointer(each) for each in (self._gain, self._gain_slope)))
+        self._over = _Over(len(s.begin), len(s.measured), pointer(s.begin), pointer(s.end), s.h)
         place = np.minimum(s.age, steady - 1)
         self.variance, self.variance_slope = variance[place], variance_slope[place]
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import smooth
 
 SMOOTHING = 0.01  # s: half-width of the parabola that gives the motion
 LEAST_REACH = 3  # samples of that half-width at least
@@ -52,6 +52,13 @@ class Stretches:
         )
 
     @cached_property
+    def slides(self) -> Array:
+        """1 for samples in a stretch (samples,), else 0."""
+        inside = np.zeros(len(self.measured))
+        inside[self.counted] = 1.0
+        return inside
+
+    @cached_property
     def age(self) -> NDArray[np.int64]:
         """Innovations of its stretch before each counted sample."""
         lag = SETTLING - (1 if self.velocity else 2)
@@ -74,6 +81,15 @@ class Stretches:
     def seconds(self) -> float:
         """Length of all stretches together [s]."""
         return float(self.h * len(self.counted))
+
+
+def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
+    """Return y or its derivative of an order, by a parabola through the samples within `half` s."""
+    reach = max(2, round(half / h))
+    reach = min(reach, (len(y) - 1) // 2)
+    kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
+    padded = np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
+    return np.convolve(padded, kernel, mode="valid")
 
 
 def stretches_of(

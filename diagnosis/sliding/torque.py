@@ -33,7 +33,7 @@ def _function(
     # what depends on older inputs, or on another inertia, is no function of the motion
     remembers = system.before or system.after or system.modes
     own = [state for e in members for state in e.states]
-    if remembers or own or any(e.output or e.coupling for e in members):
+    if remembers or own or any(e.output or e.coupling or e.bristles for e in members):
         raise NotStaticError
     rate, v = system.rates["v"], system.symbols["v"]
     if (dry := system.dry) is not None:

@@ -12,7 +12,10 @@ from scipy.stats import chi2
 
 from bristle.common.table import Array
 from bristle.diagnosis.answer import HALVES, Diagnosis, RecordAgreement
-from bristle.diagnosis.estimation.dataset import Mask, Segments
+from bristle.diagnosis.estimation.dataset import (
+    Mask,
+    Segments,
+)
 from bristle.diagnosis.estimation.likelihood import Fit
 from bristle.diagnosis.estimation.optimiser import predicted_gain, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES

@@ -14,7 +14,7 @@ from bristle.diagnosis.answer import Estimate, Finding, Reason, finding
 from bristle.diagnosis.checks.preparation import PreparedCase
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit
-from bristle.diagnosis.estimation.simulator import Free
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 
 

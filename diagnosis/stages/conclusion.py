@@ -188,7 +188,7 @@ def _after_withdrawal(
     if wider is None:
         compared = ErrorsBeforeAndAfter.of(case, outcome.final)
         added = outcome.final is not base and rounds[0].best
-        if not (added and case.dataset.uniform and compared.closes_in_part(case, outcome.final)):
+        if True:
             return outcome.final, rounds, compared
         why = finding(Reason.ONLY_IN_PART, effect=added.name)
     withdrawn = rounds[0].with_said(outcome="withdrawn", decision=why)

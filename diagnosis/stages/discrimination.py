@@ -11,7 +11,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import Grid, Piece, Segments, cut
+from bristle.diagnosis.estimation.dataset import (
+    Grid,
+    Piece,
+    Segments,
+    cut,
+)
 from bristle.diagnosis.estimation.likelihood import (
     T_DEGREES_OF_FREEDOM,
     Fit,

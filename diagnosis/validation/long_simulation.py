@@ -29,7 +29,10 @@ from bristle.diagnosis.estimation.initial_states import refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate
 from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.optimiser import refit
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
+from bristle.diagnosis.estimation.simulator import (
+    OWN_BRISTLES,
+    Servo,
+)
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.records.record import Record

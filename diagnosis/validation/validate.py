@@ -17,7 +17,10 @@ from bristle.diagnosis.answer import (
     finding,
 )
 from bristle.diagnosis.estimation.dataset import SEGMENT_SECONDS
-from bristle.diagnosis.estimation.simulator import Servo, fixed_values
+from bristle.diagnosis.estimation.simulator import (
+    Servo,
+    fixed_values,
+)
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.validation.fmu_simulation import FmuSimulator
 from bristle.diagnosis.validation.long_simulation import OpenLoop, Records, open_loop

@@ -16,10 +16,13 @@ from scipy.stats import multivariate_normal
 from bristle.diagnosis.answer import Assessment
 from bristle.diagnosis.checks.preparation import base_servo_of
 from bristle.diagnosis.estimation import uncertainty as intervals
-from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Motion
+from bristle.diagnosis.estimation.dataset import (
+    HELD_OUT_EVERY,
+    Motion,
+)
 from bristle.diagnosis.estimation.likelihood import FitPoint, rescored
 from bristle.diagnosis.estimation.optimiser import maximise, perturbed, refit_initial_states, resume
-from bristle.diagnosis.estimation.simulator import Free
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, line_p, spectrum
 from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.report.text.said import said

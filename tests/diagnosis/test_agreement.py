@@ -17,7 +17,7 @@ from bristle.diagnosis.answer import HALVES, Gap, RecordAgreement
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
-from bristle.diagnosis.estimation.simulator import free_parameters
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
 from bristle.diagnosis.stages.agreement import agreement, agreement_of, with_agreement
 from bristle.records.record import Record

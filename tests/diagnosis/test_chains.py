@@ -17,7 +17,12 @@ from bristle.diagnosis.estimation.dataset import (
     chains_of,
     cut,
 )
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator, fixed_values
+from bristle.diagnosis.estimation.simulator import (
+    OWN_BRISTLES,
+    Servo,
+    Simulator,
+    fixed_values,
+)
 from bristle.model import lanes
 
 H, WIDTH, BINS = 1e-3, 8, 50

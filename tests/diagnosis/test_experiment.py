@@ -15,7 +15,7 @@ import pytest
 from bristle.diagnosis.answer import DesignedInput, Diagnosis
 from bristle.diagnosis.estimation.dataset import cut
 from bristle.diagnosis.estimation.likelihood import Problem, evaluate
-from bristle.diagnosis.estimation.simulator import free_parameters
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.text.designed import designed_line
 from bristle.diagnosis.stages.design import MARGIN, _Design, _headings

@@ -28,8 +28,8 @@ from bristle.diagnosis.estimation.optimiser import (
     refit_nonsmooth,
     resume,
 )
-from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
+from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.diagnosis.selection.stepwise import NATS_PER_PARAMETER, evaluate_candidates

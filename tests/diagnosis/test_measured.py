@@ -16,8 +16,8 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
-from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.estimation.uncertainty import estimates, refitted_estimates
+from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.report.text.said import said
 from bristle.diagnosis.validation.long_simulation import (
     Records,

@@ -17,7 +17,7 @@ from bristle.diagnosis.estimation import fitted_model as fitting
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint
 from bristle.diagnosis.estimation.optimiser import refit
-from bristle.diagnosis.estimation.simulator import Free, free_parameters
+from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

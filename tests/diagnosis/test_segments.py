@@ -10,8 +10,18 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from bristle.diagnosis.estimation.dataset import Grid, Segments, cut, smooth
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator, fixed_values
+from bristle.diagnosis.estimation.dataset import (
+    Grid,
+    Segments,
+    cut,
+)
+from bristle.diagnosis.estimation.simulator import (
+    OWN_BRISTLES,
+    Servo,
+    Simulator,
+    fixed_values,
+)
+from bristle.diagnosis.sliding.stretches import smooth
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

@@ -15,8 +15,12 @@ from scipy.signal import lfilter
 from bristle.common.metrics import fit_percent, mse_percent, rms
 from bristle.diagnosis import Model, Record, diagnose
 from bristle.diagnosis.answer import Estimate
-from bristle.diagnosis.estimation.simulator import Free, Servo, fixed_values
+from bristle.diagnosis.estimation.simulator import (
+    Servo,
+    fixed_values,
+)
 from bristle.diagnosis.estimation.uncertainty import refitted_estimates
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.validation.long_simulation import (
     GROWTH,
     Records,

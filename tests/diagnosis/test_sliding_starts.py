@@ -1,5 +1,5 @@
-"""Inverse dynamics along the measured motion: model and effect are fitted together, where
-simulations diverge from the start.
+"""Start values from the sliding motion: model and effect are fitted together, where simulations
+diverge from the start.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, limits
-from bristle.diagnosis.estimation.fitted_model import balanced_model, fit_with_noise
+from bristle.diagnosis.estimation.fitted_model import fit_with_noise, sliding_fit
 from bristle.diagnosis.selection.discretisation import numerical, steady
-from bristle.diagnosis.selection.start_values import SearchContext, balance_starts
+from bristle.diagnosis.selection.start_values import SearchContext, sliding_starts
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +24,10 @@ def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
         model = Model.from_dict(tree)
         records = records_from_arrays(model, [("run", *measured(name, 1)[:3])])
         dataset = dataset_of(model, records)
-        fitted = fit_with_noise(dataset, *base_servo_of(model, dataset))
-        return partial(
-            balance_starts, SearchContext(dataset, fitted), balanced_model(dataset, fitted)
-        )
+        servo, values = base_servo_of(model, dataset)
+        fitted, slides = fit_with_noise(dataset, servo, values), sliding_fit(dataset, servo, values)
+        assert slides is not None
+        return partial(sliding_starts, SearchContext(dataset, fitted), slides)
 
     return make
 
@@ -48,7 +48,7 @@ def test_it_starts_near_the_truth(
 
 
 @pytest.mark.sampled(4)
-def test_regression_gives_no_starts_where_hidden_states_matter(
+def test_sliding_gives_no_starts_where_hidden_states_matter(
     joint: Callable[..., Any], tree: dict[str, Any]
 ) -> None:
     found = joint(tree, "bias")

@@ -1,0 +1,214 @@
+"""The likelihood of sliding motion: the filter against closed forms and another implementation, the
+estimates against servos whose parameters are known.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are
+
+from bristle.diagnosis.free_parameter import Free
+from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, evaluate, fit_sliding
+from bristle.diagnosis.sliding.kalman import Filter, Noise
+from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
+
+H = 1e-3
+NOISE = Noise(0.01, 0.02, 0.004, 10.0, 2e-5)
+FC = 0.12
+VALUES = {"J": 0.01, "a2": 0.02, "coulomb.Fc": FC, "b": 1.0, "u_max": 1e9}
+
+
+@cache
+def sampled(noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Transition of (position, speed, disturbance, 1 N.m) over a sample, and the covariance of what
+    white noise adds, by the midpoints of many parts.
+    """
+    rate, parts = 2 * math.pi * noise.corner, 200
+    a = np.array([[0, 1, 0], [0, -noise.viscous / noise.inertia, 1 / noise.inertia], [0, 0, -rate]])
+    held = np.block([[a, np.array([[0], [1 / noise.inertia], [0]])], [np.zeros((1, 4))]])
+    each = [expm(a * (k + 0.5) * H / parts)[:, 2] for k in range(parts)]
+    spread = 2 * rate * noise.torque**2 * H / parts * sum(np.outer(p, p) for p in each)
+    return expm(H * held), spread
+
+
+def slid(
+    seed: int, velocity: bool = False, noise: Noise = NOISE, seconds: float = 24.0
+) -> Stretches:
+    """Records of a servo that slides forward in the first half and backward in the second, made
+    sample by sample.
+
+    J v' = u + d - a2 v - s Fc, d' = -w d + white noise; exact over each held input.
+    """
+    rng, n = np.random.default_rng(seed), round(seconds / H)
+    whole, spread = sampled(noise)
+    kicks = rng.standard_normal((n, 3)) @ np.linalg.cholesky(spread + 1e-30 * np.eye(3)).T
+    sign = np.where(np.arange(n) < n // 2, 1.0, -1.0)
+    u = sign * (FC + 0.1) + 0.08 * np.sin(2 * np.pi * 0.7 * np.arange(n) * H)
+    u += 0.05 * np.sin(2 * np.pi * 5.3 * np.arange(n) * H)
+    x, shown = np.array([0.0, 5.0, noise.torque * rng.standard_normal()]), np.empty(n)
+    for k in range(n):
+        if k == n // 2:
+            x[1] = -5.0
+        shown[k] = x[1 if velocity else 0]
+        x = whole[:3, :3] @ x + whole[:3, 3] * (u[k] - sign[k] * FC) + kicks[k]
+    shown += noise.sensor * rng.standard_normal(n)
+    return stretches_of([(H * np.arange(n), u, shown)], H, velocity, noise.sensor)
+
+
+def fitted(over: Stretches, **nominal: float) -> SlidingFit:
+    given = {"J": 0.013, "a2": 0.03, "coulomb.Fc": 0.09, **nominal}
+    free = tuple(Free(name, 0.0, 100 * value) for name, value in given.items())
+    fit = fit_sliding(SlidingModel("coulomb", (), free, over, 2e-5), VALUES | given)
+    assert fit is not None
+    return fit
+
+
+# -- stretches -------------------------------------------------------------------------------------
+def test_stretches_leave_out_reversals_and_rest() -> None:
+    t = H * np.arange(6000)
+    speed = np.where(t < 2, 2.0, np.where(t < 3, 0.0, -1.0))
+    over = stretches_of([(t, 0 * t, np.cumsum(speed) * H)], H, False, 1e-5)
+    assert len(over.begin) == 2
+    assert over.end[0] * H < 2 < 3 < over.begin[1] * H
+    assert np.all(np.sign(over.v[over.counted]) == np.sign(speed[over.counted]))
+    assert over.seconds == pytest.approx(5.0, abs=0.15)
+
+
+def test_short_motion_and_motion_within_the_sensors_steps_do_not_slide() -> None:
+    t = H * np.arange(4000)
+    burst = np.where((t > 1) & (t < 1.04), 3.0, 0.0)
+    assert len(stretches_of([(t, 0 * t, np.cumsum(burst) * H)], H, False, 1e-5).begin) == 0
+    creep = np.floor(0.01 * t / 1e-3) * 1e-3
+    assert len(stretches_of([(t, 0 * t, creep)], H, False, 1e-3).begin) == 0
+
+
+# -- filter ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("velocity", [False, True])
+def test_innovations_have_the_variance_of_the_riccati_equation(velocity: bool) -> None:
+    """Another implementation: the stationary covariance by scipy, from matrices made here."""
+    over = slid(1, velocity)
+    shows = np.array([[0.0, 1.0, 0.0]]) if velocity else np.array([[1.0, 0.0, 0.0]])
+    step, spread = sampled(NOISE)
+    states = slice(1, 3) if velocity else slice(0, 3)
+    kept = (states, states)
+    steady = solve_discrete_are(step[kept].T, shows[:, states].T, spread[kept], [[NOISE.sensor**2]])
+    expected = float((shows[:, states] @ steady @ shows[:, states].T)[0, 0]) + NOISE.sensor**2
+    assert Filter(NOISE, over).variance[-1] == pytest.approx(expected, rel=1e-5)
+
+
+def test_what_moves_as_the_model_says_leaves_no_innovation() -> None:
+    """x = c t + (v0 - c)(1 - e^{-t/T}) T under a constant torque, c = T/a2: the closed form."""
+    t = H * np.arange(3000)
+    steady, constant = 0.1 / NOISE.viscous, NOISE.inertia / NOISE.viscous
+    y = steady * t + (2.0 - steady) * constant * -np.expm1(-t / constant)
+    over = stretches_of([(t, np.full(3000, 0.1), y)], H, False, 1e-6)
+    innovations, _ = Filter(NOISE, over).innovations(over.measured, over.u)
+    later = over.age > 200  # the start is only known to within the change of speed in a sample
+    assert np.abs(innovations[later]).max() < 1e-9
+    wrong, _ = Filter(NOISE, over).innovations(over.measured, 1.01 * over.u)
+    assert np.abs(wrong[later]).max() > 1e-8
+
+
+def test_innovations_are_white_and_have_their_variance() -> None:
+    over = slid(2)
+    fit = evaluate(SlidingModel("coulomb", (), (), over, 2e-5), VALUES, NOISE)
+    white = fit.innovations / np.sqrt(fit.filter.variance)
+    n = len(white)
+    assert np.mean(white**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / n))
+    for lag in (1, 2, 5, 20):
+        assert abs(np.mean(white[lag:] * white[:-lag])) < 4 / math.sqrt(n)
+
+
+@pytest.mark.parametrize("velocity", [False, True])
+def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
+    """By difference quotients of the log-likelihood, at a point that is not its maximum."""
+    over = slid(3, velocity, seconds=4.0)
+    values = VALUES | {"J": 0.011, "a2": 0.03, "coulomb.Fc": 0.1}
+    noise = Noise(0.011, 0.03, 0.005, 6.0, 3e-5)
+    free = tuple(Free(name, 0.0, 1.0) for name in ("J", "a2", "coulomb.Fc"))
+    model = SlidingModel("coulomb", (), free, over, 2e-5)
+
+    def total(step: float, k: int) -> float:
+        factors = np.ones(6)
+        factors[k] += step
+        own = {f.name: values[f.name] * x for f, x in zip(free, factors, strict=False)}
+        changed = Noise(
+            own["J"],
+            own["a2"],
+            *(x * y for x, y in zip((0.005, 6.0, 3e-5), factors[3:], strict=True)),
+        )
+        return evaluate(model, values | own, changed).total
+
+    scale = [*(values[f.name] for f in free), 1.0, 1.0, 1.0]
+    quotients = [(total(1e-5, k) - total(-1e-5, k)) / 2e-5 for k in range(6)]
+    assert evaluate(model, values, noise).gradient * scale == pytest.approx(quotients, rel=1e-4)
+
+
+def test_a_torque_changes_innovations_by_its_column() -> None:
+    over = slid(4, seconds=4.0)
+    through, torque = Filter(NOISE, over), 0.01 * np.cos(over.theta)
+    one, _ = through.innovations(over.measured, over.u)
+    two, _ = through.innovations(over.measured, over.u + torque)
+    assert two - one == pytest.approx(through.columns(torque[None])[:, 0], abs=1e-12)
+
+
+# -- estimates -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("velocity", [False, True])
+def test_parameters_and_noise_are_found_again(velocity: bool) -> None:
+    noise = Noise(0.01, 0.02, 0.004, 10.0, 5e-3) if velocity else NOISE
+    fit = fitted(slid(5, velocity, noise))
+    deviations = fit.deviations()
+    for name in ("J", "a2", "coulomb.Fc"):
+        assert abs(fit.values[name] - VALUES[name]) < 4 * deviations[name]
+        assert deviations[name] < 0.1 * VALUES[name]
+    assert fit.noise.torque == pytest.approx(noise.torque, rel=0.15)
+    assert fit.noise.corner == pytest.approx(noise.corner, rel=0.4)
+    assert fit.noise.sensor == pytest.approx(noise.sensor, rel=0.05)
+
+
+def test_starts_far_away_end_at_the_same_place() -> None:
+    over = slid(6, seconds=8.0)
+    near, far = fitted(over), fitted(over, J=0.1, a2=0.2, **{"coulomb.Fc": 0.012})
+    assert far.total == pytest.approx(near.total, abs=0.1)
+    assert far.values["J"] == pytest.approx(near.values["J"], rel=1e-3)
+
+
+@pytest.mark.sampled(4)
+def test_intervals_cover() -> None:
+    """Of 40 records at most 6 are outside a 95 % interval; more have a probability of 0.4 %."""
+    outside = dict.fromkeys(("J", "a2", "coulomb.Fc"), 0)
+    for seed in range(40):
+        fit = fitted(slid(100 + seed, seconds=6.0))
+        for name, deviation in fit.deviations().items():
+            outside[name] += abs(fit.values[name] - VALUES[name]) > 1.96 * deviation
+    assert max(outside.values()) <= 6
+    assert sum(outside.values()) >= 1  # nor are they so wide that nothing is ever outside
+
+
+def test_regression_gives_the_size_of_a_torque() -> None:
+    over = slid(7, seconds=10.0)
+    added = 0.02 * np.cos(2 * over.theta)
+    other = Stretches(**{**vars_of(over), "u": over.u - added})
+    answer, gain = fitted(other).regress(np.column_stack([np.cos(2 * over.theta), over.time]))
+    assert answer[0] == pytest.approx(0.02, rel=0.1)
+    assert abs(answer[1]) < 1e-3
+    assert gain > 50.0
+    assert fitted(over).regress(np.cos(2 * over.theta)[:, None])[1] < 6.0
+
+
+def vars_of(over: Stretches) -> dict[str, object]:
+    names = ("h", "velocity", "measured", "u", "time", "record", "theta", "v", "a", "begin", "end")
+    return {name: getattr(over, name) for name in names}
+
+
+def test_too_little_motion_and_hidden_states_give_no_fit() -> None:
+    over = slid(8, seconds=2.0)
+    short = Stretches(**{**vars_of(over), "end": over.begin + SETTLING + 50})
+    free = (Free("J", 0.0, 1.0),)
+    assert fit_sliding(SlidingModel("coulomb", (), free, short, 2e-5), VALUES) is None
+    for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
+        assert fit_sliding(SlidingModel("coulomb", (name,), free, over, 2e-5), VALUES) is None
