@@ -7,7 +7,7 @@ user holds comes by them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
@@ -232,6 +232,13 @@ class Named:
             find_effect(self.name).decisive.name.removeprefix(f"{self.name}.")
         )
         return strength is None or strength.known_within(share)
+
+    def with_estimates(self, fitted: Mapping[str, Estimate]) -> Named:
+        """Return the effect with the estimates that there are of its parameters by their full
+        names.
+        """
+        own = {key: fitted.get(f"{self.name}.{key}", e) for key, e in self.parameters.items()}
+        return replace(self, parameters=own)
 
 
 # -- the search ------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ from bristle.diagnosis.stages.case import Budget, SearchedCase, Stage
 from bristle.diagnosis.stages.conclusion import conclude, may_be_nothing, without_effects
 from bristle.diagnosis.stages.design import designed_experiment
 from bristle.diagnosis.stages.remarks import remarks
+from bristle.diagnosis.stages.sliding_motion import from_sliding_motion
 from bristle.diagnosis.stages.unnamed_torque import unnamed_torque
 from bristle.diagnosis.validation.validate import (
     model_simulation,
@@ -215,6 +216,7 @@ def _answered(
     """Return what follows from a search, stage by stage."""
     tell("residual", 0.85)
     case, answer = conclude(prepared, outcome)
+    answer = from_sliding_motion(case, answer, budget)
     answer, late = _taken(WHOLE_RECORDS, case, answer, tell, budget)
     # effects of which no strength is known over whole records either stand in for something else
     if may_be_nothing(answer):

@@ -254,7 +254,6 @@ def is_tied(best: EffectFit, other: EffectFit, plain: Fit, uniform: bool) -> boo
     assert best.fit is not None
     assert other.fit is not None
     deficit, error = likelihood_difference(best, other)
-    print("TIED?", best.name, other.name, uniform, deficit, error, best.gain_over(plain), best.fit.total - other.fit.total)
     if uniform and deficit < RIVAL_ERRORS * error:
         return True
     same = group(other.name) == group(best.name)

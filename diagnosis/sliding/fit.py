@@ -23,6 +23,9 @@ CORNERS = (0.02, 300.0)  # Hz: corner frequencies that a disturbance may have
 START_CORNER = 5.0  # Hz: where a fit begins
 START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
 LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
+# of deviations: how much wider they are than the sandwich gives (benchmarks/estimates.py)
+INTERVAL_FACTOR = 1.2
+END_PASSES = 2  # fits to stretches whose ends a fit before predicts
 BLOCKS = 200  # parts of the records whose scores count as independent
 FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
 SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
@@ -103,7 +106,7 @@ class SlidingFit:
         parts = np.array_split(self.scores, BLOCKS)
         sums = np.array([part.sum(axis=0) for part in parts])
         inverse = np.linalg.pinv(self.information, rcond=1e-14, hermitian=True)
-        return np.asarray(inverse @ (sums.T @ sums) @ inverse)
+        return np.asarray(INTERVAL_FACTOR**2 * inverse @ (sums.T @ sums) @ inverse)
 
     @property
     def free_values(self) -> dict[str, float]:
@@ -148,7 +151,9 @@ def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> 
         for place in [i for i, f in enumerate(model.free) if f.name == name]:
             slopes[:, place] += own[:, k] / value
             variance_slopes[:, place] += through.variance_slope[:, k] / value
-    total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
+    total = -math.inf
+    if through.variance.min() > 0:
+        total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
     for f in model.free:
         if f.nominal is not None:
             total -= 0.5 * ((f.scaled(values[f.name]) - f.nominal) / f.prior_sd) ** 2
@@ -234,9 +239,24 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
         model.resolution,
     )
     try:
-        return climb(evaluate(model, inside, noise))
+        return _within_what_slides(climb(evaluate(model, inside, noise)))
     except NotStaticError:
         return None
+
+
+def _within_what_slides(fit: SlidingFit) -> SlidingFit:
+    """Return a fit to stretches that end where the fit itself predicts the next sample to stand
+    still.
+
+    A light servo stops within a sample, sooner than a smoothed speed shows.
+    """
+    for _ in range(END_PASSES):
+        torque, _ = fit.model.torque(fit.values)
+        over = replace(fit.model.over, end=fit.filter.ends(torque))
+        if len(over.counted) < LEAST_SAMPLES:
+            break
+        fit = climb(evaluate(replace(fit.model, over=over), fit.values, fit.noise))
+    return fit
 
 
 def fit_beside(

@@ -93,7 +93,7 @@ typedef struct {
 /* The gains that `kalman_gains` gave. */
 typedef struct {
   long long samples;
-  const double *gain, *gain_slope;
+  const double *gain, *gain_slope, *variance;
 } Gains;
 
 /* The start: position and speed from the first two samples, or the first speed; no disturbance. */
@@ -139,6 +139,26 @@ EXPORT void kalman_innovations(const double *model, int slopes, int shown, const
       }
       advance(model, torque[k], gain, e, x);
     }
+  }
+}
+
+/* The end of each stretch: the first sample for which the filter predicts no speed in its direction, or that is `most`
+ * standard deviations from the prediction. */
+EXPORT void kalman_ends(const double *model, int shown, const Stretches *over, const Gains *gains,
+                        const double *measured, const double *torque, const double *direction, double most, long long *end) {
+  for (long long c = 0; c < over->count; c++) {
+    long long first = over->begin[c] + (shown == 0), k = first;
+    double x[N];
+    begin_at(measured + over->begin[c], shown, over->h, x);
+    for (; k < over->end[c] && direction[c] * x[1] > 0; k++) {
+      long long t = k - first - 1;
+      if (t >= gains->samples) t = gains->samples - 1;
+      const double *gain = k == first ? 0 : gains->gain + t * N;
+      double e = gain ? measured[k] - x[shown] : 0;
+      if (gain && e * e > most * most * gains->variance[t]) break;
+      advance(model, torque[k], gain, e, x);
+    }
+    end[c] = k;
   }
 }
 

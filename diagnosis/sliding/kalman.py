@@ -9,6 +9,7 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from bristle.common.cache import cached, digest
@@ -20,6 +21,7 @@ from bristle.model.native import pointer
 MODEL_SIZE = 22  # numbers that kalman.c takes for a model
 MOST_GAINS = 20000  # samples after which gains count as steady in any case
 SLOPE_STEP = 1e-5  # of a logarithm: step of the difference quotient of a model's matrices
+OUTLIER = 6.0  # standard deviations: an innovation beyond it is no noise, such as an impact
 START_DOUBT = 3.0  # of the change of speed in a sample, rms: doubt of the speed at a start
 
 
@@ -72,7 +74,7 @@ class _Over(ctypes.Structure):
 class _Gains(ctypes.Structure):
     _fields_ = [
         ("samples", ctypes.c_longlong),
-        *((name, ctypes.c_void_p) for name in ("gain", "gain_slope")),
+        *((name, ctypes.c_void_p) for name in ("gain", "gain_slope", "variance")),
     ]
 
 
@@ -138,7 +140,7 @@ class Filter:
         self._model = np.ascontiguousarray(_with_slopes(models))
         covariance = np.ascontiguousarray(_with_slopes(_starts(models, points, s)))
         most = min(s.longest, MOST_GAINS)
-        self._gain, variance = np.empty((most, 3)), np.empty(most)
+        self._gain, self._variance = np.empty((most, 3)), np.empty(most)
         self._gain_slope = np.empty((most, PARAMETERS, 3))
         variance_slope = np.empty((most, PARAMETERS))
         steady = _library().kalman_gains(
@@ -148,14 +150,15 @@ class Filter:
             pointer(covariance),
             ctypes.c_longlong(most),
             pointer(self._gain),
-            pointer(variance),
+            pointer(self._variance),
             pointer(self._gain_slope),
             pointer(variance_slope),
         )
-        self._gains = _Gains(steady, *(pointer(each) for each in (self._gain, self._gain_slope)))
+        parts = self._gain, self._gain_slope, self._variance
+        self._gains = _Gains(steady, *(pointer(each) for each in parts))
         self._over = _Over(len(s.begin), len(s.measured), pointer(s.begin), pointer(s.end), s.h)
         place = np.minimum(s.age, steady - 1)
-        self.variance, self.variance_slope = variance[place], variance_slope[place]
+        self.variance, self.variance_slope = self._variance[place], variance_slope[place]
 
     def innovations(self, measured: Array, torque: Array) -> tuple[Array, Array]:
         """Return the innovations (counted,) of a measurement (samples,) under a torque [N.m], and
@@ -176,6 +179,26 @@ class Filter:
             pointer(slope),
         )
         return innovation[s.counted], slope[s.counted]
+
+    def ends(self, torque: Array) -> NDArray[np.int64]:
+        """Return where stretches end by what is known a sample before: with the first sample for
+        which the prediction under a torque (samples,) [N.m] has turned, or
+        that is an outlier.
+        """
+        s = self._stretches
+        end = np.empty(len(s.begin), dtype=np.int64)
+        _library().kalman_ends(
+            pointer(self._model),
+            self._shown,
+            ctypes.byref(self._over),
+            ctypes.byref(self._gains),
+            pointer(s.measured),
+            pointer(np.ascontiguousarray(torque)),
+            pointer(np.sign(s.v[s.begin])),
+            ctypes.c_double(OUTLIER),
+            pointer(end),
+        )
+        return end
 
     def columns(self, torques: Array) -> Array:
         """Return what further torques (k, samples) [N.m] change in the innovations (counted, k)."""

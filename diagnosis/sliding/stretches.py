@@ -17,8 +17,7 @@ SMOOTHING = 0.01  # s: half-width of the parabola that gives the motion
 LEAST_REACH = 3  # samples of that half-width at least
 SLOWEST_SHARE = 0.1  # of the rms speed: slowest motion that counts as sliding
 SLOWEST_STEPS = 3.0  # steps of the sensor within the parabola: the same
-LEAST_SECONDS = 0.06  # s: shortest stretch
-# of the parabola's half-width: what is cut off both ends, where friction has not settled
+# of the parabola's half-width: what is cut off the beginning, where friction has not settled
 TRIMMED = 2.5
 SETTLING = 6  # first samples of a stretch that do not count
 
@@ -46,10 +45,8 @@ class Stretches:
     @cached_property
     def counted(self) -> NDArray[np.int64]:
         """Samples whose innovations count."""
-        first = self.begin + SETTLING
-        return np.concatenate(
-            [np.arange(a, b) for a, b in zip(first, self.end, strict=True)] or [np.empty(0, int)]
-        )
+        parts = [np.arange(a + SETTLING, b) for a, b in zip(self.begin, self.end, strict=True)]
+        return np.concatenate([np.empty(0, dtype=np.int64), *parts])
 
     @cached_property
     def slides(self) -> Array:
@@ -61,11 +58,9 @@ class Stretches:
     @cached_property
     def age(self) -> NDArray[np.int64]:
         """Innovations of its stretch before each counted sample."""
-        lag = SETTLING - (1 if self.velocity else 2)
-        return np.concatenate(
-            [lag + np.arange(b - a - SETTLING) for a, b in zip(self.begin, self.end, strict=True)]
-            or [np.empty(0, int)]
-        )
+        lag, lengths = SETTLING - (1 if self.velocity else 2), self.end - self.begin - SETTLING
+        parts = [lag + np.arange(max(0, length)) for length in lengths]
+        return np.concatenate([np.empty(0, dtype=np.int64), *parts])
 
     @cached_property
     def longest(self) -> int:
@@ -102,9 +97,10 @@ def stretches_of(
     step = resolution if velocity else resolution / (2 * half)
     slowest = max(SLOWEST_STEPS * step, SLOWEST_SHARE * float(np.sqrt(np.mean(speed**2))))
     places, offset = list[tuple[int, int]](), 0
-    for _, v, _ in motions:
-        places += [(offset + a, offset + b) for a, b in _sliding(v, slowest, h, half)]
-        offset += len(v)
+    for _, _, y in records:
+        found = _sliding(y, velocity, h, half, slowest)
+        places += [(offset + begin, offset + end) for begin, end in found]
+        offset += len(y)
     begin, end = (np.array([each[k] for each in places], dtype=np.int64) for k in (0, 1))
     time, u, y = (np.concatenate(each).astype(float) for each in zip(*records, strict=True))
     theta, v, a = (np.concatenate(each) for each in zip(*motions, strict=True))
@@ -121,11 +117,24 @@ def _motion(y: Array, h: float, half: float, velocity: bool) -> tuple[Array, Arr
     return np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) * h / 2)]), v, a
 
 
-def _sliding(v: Array, slowest: float, h: float, half: float) -> Iterator[tuple[int, int]]:
-    """Give the ends of the stretches of a record with this velocity (n,)."""
-    sign = np.where(np.abs(v) > slowest, np.sign(v), 0.0)
-    changes = np.flatnonzero(np.diff(sign)) + 1
+def _sliding(
+    y: Array, velocity: bool, h: float, half: float, slowest: float
+) -> Iterator[tuple[int, int]]:
+    """Give the ends of the stretches of a record with this output (n,).
+
+    Whether a sample belongs to one depends on samples up to it alone: to choose by what comes after
+    would choose among the disturbances, and bias friction (kept are those that went on).
+    """
+    reach = max(2, round(half / h))
+    n, order = 2 * reach + 1, 0 if velocity else 1
+    kernels = [savgol_coeffs(n, 2, order + k, h, n - 1) for k in (0, 1)]
+    none = np.zeros(n - 1)
+    v, a = (np.concatenate([none, np.convolve(y, each, mode="valid")]) for each in kernels)
+    # fast now, and after as long again
+    sign = np.sign(v)
+    fast = (np.abs(v) > slowest) & (sign * (v + a * half) > slowest)
+    changes = np.flatnonzero(np.diff(sign * fast)) + 1
     cut = round(TRIMMED * half / h)
-    for a, b in pairwise([0, *changes, len(v)]):
-        if sign[a] and (b - a) * h >= LEAST_SECONDS and b - a - 2 * cut > 2 * SETTLING:
-            yield int(a) + cut, int(b) - cut
+    for begin, end in pairwise([0, *changes, len(y)]):
+        if fast[begin] and end - begin - cut > SETTLING:
+            yield int(begin) + cut, int(end)

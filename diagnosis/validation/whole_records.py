@@ -13,7 +13,6 @@ from bristle.diagnosis.answer import (
     Diagnosis,
     Estimate,
     HorizonError,
-    Named,
     RecordError,
     RecordTrace,
     WholeRecords,
@@ -109,15 +108,9 @@ def _over_whole_records(case: SearchedCase, answer: Diagnosis, refit: bool) -> D
         answer,
         base=before.estimates(case.model, answer.base),
         fitted=fitted,
-        effects=tuple(_with_values(effect, fitted) for effect in answer.effects),
+        effects=tuple(effect.with_estimates(fitted) for effect in answer.effects),
         whole=replace(whole, tried=refit),
     )
-
-
-def _with_values(effect: Named, fitted: Mapping[str, Estimate]) -> Named:
-    """Return an effect with the estimates of its parameters that there are by their full names."""
-    own = {key: fitted.get(f"{effect.name}.{key}", e) for key, e in effect.parameters.items()}
-    return replace(effect, parameters=own)
 
 
 def _values(fitted: Mapping[str, float], estimates: Mapping[str, Estimate]) -> dict[str, float]:

@@ -1,0 +1,68 @@
+"""After the search: the parameters from the likelihood of the sliding motion, which holds in tight
+loops too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from bristle.diagnosis.answer import Diagnosis, Estimate
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import FittedModel, sliding_fit
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.fit import SlidingFit
+from bristle.diagnosis.stages.case import Budget, SearchedCase
+
+NORMAL_95 = 1.96  # standard deviations from the middle to the ends of a 95 % interval
+
+Estimates = Mapping[str, Estimate]
+
+
+def from_sliding_motion(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
+    """Return an answer with the parameters that the sliding motion shows more closely than the
+    segments do.
+    """
+    base = sliding_estimates(case.dataset, case.model, case.base, answer.base)
+    fitted = base
+    if case.final is not case.base:
+        fitted = sliding_estimates(case.dataset, case.model, case.final, answer.fitted)
+    effects = tuple(effect.with_estimates(fitted) for effect in answer.effects)
+    return replace(answer, base=base, fitted=fitted, effects=effects)
+
+
+def sliding_estimates(
+    dataset: Dataset, model: Model, fitted: FittedModel, before: Estimates
+) -> dict[str, Estimate]:
+    """Return estimates with those in their place that the sliding motion gives with shorter
+    intervals.
+
+    The others keep their values there: what acts at low speed, such as Stribeck friction, does not
+    show while the servo slides.
+    """
+    kept = {**fitted.fit.values, **{name: e.value for name, e in before.items()}}
+    servo = fitted.servo
+    while True:
+        slides = sliding_fit(dataset, servo, kept)
+        if slides is None:
+            return dict(before)
+        own = {name: _estimate(model, slides, name, sd) for name, sd in slides.deviations().items()}
+        wider = {
+            name for name, e in own.items() if name in before and _width(e) > _width(before[name])
+        }
+        if not wider:
+            return {name: own.get(name, e) for name, e in before.items()}
+        servo = replace(servo, free=tuple(f for f in servo.free if f.name not in wider))
+
+
+def _estimate(model: Model, slides: SlidingFit, name: str, deviation: float) -> Estimate:
+    value, (low, high) = slides.values[name], model.allowed(name)
+    [free] = [f for f in slides.model.free if f.name == name]
+    ends = (value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
+    ci95 = float(max(ends[0], low)), float(min(ends[1], high))
+    return Estimate(float(value), model.unit(name), ci95, free.at_bound(value))
+
+
+def _width(estimate: Estimate) -> float:
+    low, high = estimate.ci95 or (0.0, float("inf"))
+    return high - low
