@@ -121,7 +121,6 @@ class Reason(StrEnum):
     NUMERICAL = "numerical"
     UNKNOWN_STRENGTH = "unknown_strength"
     ONLY_BOUNDS = "only_bounds"
-    ONLY_IN_PART = "only_in_part"
     # what was found in a view of the residual
     WAVE_IN_TIME = "wave_in_time"
     WAVE_ALONG_PATH = "wave_along_path"

@@ -23,9 +23,11 @@ from bristle.diagnosis.estimation.dataset import (
     motion,
 )
 from bristle.diagnosis.estimation.fitted_model import (
+    LARGE_DISTURBANCE,
     FittedModel,
     fit_from_several_starts,
     has_diverged,
+    sliding_fit,
 )
 from bristle.diagnosis.estimation.likelihood import FitPoint, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
@@ -48,7 +50,7 @@ USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
 SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
-SHORTEST_SHARE = 1.0  # of the length of a segment: shortest segment for a model that diverges
+SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
 # of the sensor's step: largest deflection of the bristles of rigid friction
 BRISTLE_DEFLECTION = 0.25
 
@@ -304,11 +306,15 @@ def prepare_model(
     findings.
 
     The simulation of a light servo in a stiff loop diverges from the measured motion as soon as
-    anything is missing, and its residual does not show what. Shorter segments prevent that.
+    anything is missing, and its residual does not show what. Shorter segments prevent that. They do
+    not help where the sliding motion shows that much is missing: an effect is found first then.
     """
     usual = asked = dataset.segments.seconds
-    base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
-    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
+    servo, values = base_servo_of(model, dataset)
+    base = fit_from_several_starts(dataset, servo, values)
+    slides = sliding_fit(dataset, servo, values)
+    least = usual if slides and slides.disturbance > LARGE_DISTURBANCE else SHORTEST_SHARE * usual
+    while has_diverged(dataset, base.fit) and asked / 2 >= least:
         asked /= 2
         shorter = dataset_of(model, records, asked)
         if shorter.segments.seconds < dataset.segments.seconds:

@@ -29,7 +29,8 @@ from bristle.plant.effects import effects as all_effects
 # of the best gain: least gain of a candidate that is refitted under the best one's noise
 CONTENDER_SHARE = 0.2
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
-# of the best gain: gain from which on a candidate is tied with the best one where motion is uniform
+# standard errors of the difference to the best one, within which a candidate is tied with it where
+# motion is uniform
 RIVAL_ERRORS = 4.0
 # standard errors: a simpler candidate that is less far behind takes the place of the best one
 SIMPLER_ERRORS = 1.0
@@ -105,9 +106,7 @@ def accept_or_reject(
     accepted = [c for c in contenders if c.assessment and c.assessment.accepted]
     best = simplest(accepted) if accepted else _likeliest(contenders)
     uniform = context.dataset.uniform is not None
-    ties = tuple(
-        c.name for c in accepted if c.name != best.name and is_tied(best, c, plain, uniform)
-    )
+    ties = tuple(c.name for c in accepted if c.name != best.name and is_tied(best, c, uniform))
     # how far each is behind the best one
     contenders = [_with_deficit(best, c) for c in contenders]
     [best] = [c for c in contenders if c.name == best.name]
@@ -244,15 +243,13 @@ def _is_close(best: EffectFit, other: EffectFit) -> bool:
     return deficit < SIMPLER_ERRORS * error
 
 
-def is_tied(best: EffectFit, other: EffectFit, plain: Fit, uniform: bool) -> bool:
-    """True if the records do not distinguish two candidates; in `uniform` motion every strong one
-    is tied.
+def is_tied(best: EffectFit, other: EffectFit, uniform: bool) -> bool:
+    """True if the records do not distinguish two candidates; in `uniform` motion their likelihoods
+    must be far apart.
 
     Within a class, where a tie costs no name, the likelihoods are told apart only beyond their
     standard error.
     """
-    assert best.fit is not None
-    assert other.fit is not None
     deficit, error = likelihood_difference(best, other)
     if uniform and deficit < RIVAL_ERRORS * error:
         return True

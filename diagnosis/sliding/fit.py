@@ -49,6 +49,10 @@ class SlidingModel:
         names = tuple(f.name for f in self.free)
         return sliding_torque(self.law, self.effects, names, values, self.over)
 
+    def drive(self, values: Mapping[str, float]) -> float:
+        """Return the torque of the input, rms [N.m]."""
+        return abs(values["b"]) * float(np.sqrt(np.mean(np.square(self.over.u))))
+
 
 @dataclass(frozen=True)
 class SlidingFit:
@@ -112,6 +116,11 @@ class SlidingFit:
     def free_values(self) -> dict[str, float]:
         """Values of the free parameters."""
         return {f.name: self.values[f.name] for f in self.model.free}
+
+    @property
+    def disturbance(self) -> float:
+        """Disturbance torque over the torque of the input; rms."""
+        return self.noise.torque / max(self.model.drive(self.values), 1e-300)
 
     def deviations(self) -> dict[str, float]:
         """Return the standard deviations of the free parameters."""
@@ -230,11 +239,10 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
     if len(model.over.counted) < LEAST_SAMPLES:
         return None
     inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
-    drive = float(np.sqrt(np.mean(np.square(model.over.u))))
     noise = Noise(
         inside[INERTIA],
         max(inside[VISCOUS], LEAST_RATE * inside[INERTIA]),
-        START_SHARE * abs(inside["b"]) * drive,
+        START_SHARE * model.drive(inside),
         START_CORNER,
         model.resolution,
     )

@@ -84,11 +84,6 @@ class ErrorsBeforeAndAfter:
         )
         return unexplained(self.shares, model)
 
-    def closes_in_part(self, case: PreparedCase, final: FittedModel) -> bool:
-        """True if a view predicts some of the residual in uniform motion, which hides its form."""
-        model = FinalModel((), final.fit.values, case.dataset.turn, self.gap.left, self.error_fall)
-        return unexplained(self.shares, model).flag
-
 
 def conclude(prepared: PreparedCase, outcome: SearchOutcome) -> tuple[SearchedCase, Diagnosis]:
     """Return what the records say, parameters and intervals refitted to all segments, and the case
@@ -178,21 +173,14 @@ def without_effects(case: PreparedCase, outcome: SearchOutcome, answer: Diagnosi
 def _after_withdrawal(
     case: PreparedCase, outcome: SearchOutcome, wider: Finding | None
 ) -> tuple[FittedModel, tuple[TrialRound, ...], ErrorsBeforeAndAfter]:
-    """Return final model, rounds and comparison, all effects withdrawn where they cannot be named.
-
-    That is where wider bounds do as well, or where the motion is uniform and a part stays
-    unexplained.
+    """Return final model, rounds and comparison, all effects withdrawn where wider bounds do as
+    well.
     """
-    base, rounds = case.base, outcome.rounds
-    why = finding(Reason.ONLY_BOUNDS)
     if wider is None:
-        compared = ErrorsBeforeAndAfter.of(case, outcome.final)
-        added = outcome.final is not base and rounds[0].best
-        if True:
-            return outcome.final, rounds, compared
-        why = finding(Reason.ONLY_IN_PART, effect=added.name)
-    withdrawn = rounds[0].with_said(outcome="withdrawn", decision=why)
-    return base, (withdrawn,), ErrorsBeforeAndAfter.of(case, base)
+        return outcome.final, outcome.rounds, ErrorsBeforeAndAfter.of(case, outcome.final)
+    why = finding(Reason.ONLY_BOUNDS)
+    withdrawn = outcome.rounds[0].with_said(outcome="withdrawn", decision=why)
+    return case.base, (withdrawn,), ErrorsBeforeAndAfter.of(case, case.base)
 
 
 def _ties(rounds: Sequence[TrialRound]) -> tuple[tuple[str, ...], ...]:

@@ -134,9 +134,6 @@ SENTENCES: dict[Reason, str] = {
         "'{effect}' is significant, but beside what was found its strength is not known"
     ),
     R.ONLY_BOUNDS: "it only makes up for bounds",
-    R.ONLY_IN_PART: (
-        "'{effect}' reduces the error only in part, and the motion is too uniform to identify it"
-    ),
     # views of the residual
     R.WAVE_IN_TIME: "{frequency:.3g} Hz",
     R.WAVE_ALONG_PATH: "{periods:.3g} in {path}",
