@@ -25,6 +25,8 @@ START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
 LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
 # of deviations: how much wider they are than the sandwich gives (benchmarks/estimates.py)
 INTERVAL_FACTOR = 1.2
+LEAST_SHOWN = 1e-9  # of the information of a parameter: less is rounding
+HIDDEN_PART = 1e-3  # of a direction that is not shown: least share of a parameter that is in it
 END_PASSES = 2  # fits to stretches whose ends a fit before predicts
 BLOCKS = 200  # parts of the records whose scores count as independent
 FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
@@ -85,8 +87,13 @@ class SlidingFit:
         """Fisher information (k, k), that of the priors included."""
         variance = self.filter.variance[:, None]
         own, other = self.slopes / np.sqrt(variance), self.variance_slopes / variance
+        return np.asarray(own.T @ own + 0.5 * other.T @ other + self._known_before)
+
+    @property
+    def _known_before(self) -> Array:
+        """Curvature of the priors (k, k)."""
         prior = [0.0 if f.nominal is None else self._prior(f)[1] for f in self.model.free]
-        return np.asarray(own.T @ own + 0.5 * other.T @ other + np.diag([*prior, 0.0, 0.0, 0.0]))
+        return np.diag([*prior, 0.0, 0.0, 0.0])
 
     def _prior(self, f: Free) -> tuple[float, float]:
         """Return slope and curvature of the logarithm of a parameter's prior, in its unit."""
@@ -103,14 +110,19 @@ class SlidingFit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the parameters (k, k).
+        """Covariance of the parameters (k, k); of what the motion does not show it is infinite.
 
         Source: white1982 (sandwich), kunsch1989 (blocks).
         """
-        parts = np.array_split(self.scores, BLOCKS)
-        sums = np.array([part.sum(axis=0) for part in parts])
-        inverse = np.linalg.pinv(self.information, rcond=1e-14, hermitian=True)
-        return np.asarray(INTERVAL_FACTOR**2 * inverse @ (sums.T @ sums) @ inverse)
+        sums = np.array([part.sum(axis=0) for part in np.array_split(self.scores, BLOCKS)])
+        size = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
+        shown = values > LEAST_SHOWN
+        inverse = (vectors[:, shown] / values[shown]) @ vectors[:, shown].T / np.outer(size, size)
+        spread = INTERVAL_FACTOR**2 * inverse @ (sums.T @ sums + self._known_before) @ inverse
+        hidden = np.abs(vectors[:, ~shown]).max(axis=1, initial=0.0) > HIDDEN_PART
+        hidden |= np.diag(self.information) <= 0.0
+        return np.asarray(spread + np.diag(np.where(hidden, np.inf, 0.0)))
 
     @property
     def free_values(self) -> dict[str, float]:

@@ -10,9 +10,11 @@ from dataclasses import replace
 from bristle.diagnosis.answer import Diagnosis, Estimate
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, sliding_fit
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.stages.case import Budget, SearchedCase
+from bristle.plant.effects import effects
 
 NORMAL_95 = 1.96  # standard deviations from the middle to the ends of a 95 % interval
 
@@ -37,22 +39,31 @@ def sliding_estimates(
     """Return estimates with those in their place that the sliding motion gives with shorter
     intervals.
 
-    The others keep their values there: what acts at low speed, such as Stribeck friction, does not
-    show while the servo slides.
+    The others keep their values: what acts at low speed, such as Stribeck friction, does not show
+    while the servo slides, and effects that switch have likelihoods without useful slopes.
     """
     kept = {**fitted.fit.values, **{name: e.value for name, e in before.items()}}
-    servo = fitted.servo
+    own = [f for f in fitted.servo.free if f.name in before]
+    shown = {f.name for f in own if not _switches(f.name)}
     while True:
-        slides = sliding_fit(dataset, servo, kept)
+        # the others are known as well as the segments show them
+        free = tuple(f if f.name in shown else _known(f, before[f.name]) for f in own)
+        slides = sliding_fit(dataset, replace(fitted.servo, free=free), kept)
         if slides is None:
             return dict(before)
-        own = {name: _estimate(model, slides, name, sd) for name, sd in slides.deviations().items()}
-        wider = {
-            name for name, e in own.items() if name in before and _width(e) > _width(before[name])
-        }
-        if not wider:
-            return {name: own.get(name, e) for name, e in before.items()}
-        servo = replace(servo, free=tuple(f for f in servo.free if f.name not in wider))
+        known = slides.deviations()
+        found = {name: _estimate(model, slides, name, known[name]) for name in shown}
+        closer = {name for name in shown if _width(found[name]) <= _width(before[name])}
+        if closer == shown:
+            return {**before, **found}
+        shown = closer
+
+
+def _known(free: Free, estimate: Estimate) -> Free:
+    """Return a free parameter with its estimate as prior."""
+    low, high = estimate.ci95 or (free.low, free.high)
+    sd = max(high - low, 1e-6 * abs(estimate.value), 1e-12) / (2 * NORMAL_95)
+    return replace(free, factor=False, nominal=estimate.value, prior_sd=sd)
 
 
 def _estimate(model: Model, slides: SlidingFit, name: str, deviation: float) -> Estimate:
@@ -61,6 +72,11 @@ def _estimate(model: Model, slides: SlidingFit, name: str, deviation: float) -> 
     ends = (value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
     ci95 = float(max(ends[0], low)), float(min(ends[1], high))
     return Estimate(float(value), model.unit(name), ci95, free.at_bound(value))
+
+
+def _switches(parameter: str) -> bool:
+    name = parameter.split(".")[0]
+    return name in effects() and (effects()[name].nonsmooth or effects()[name].sparse)
 
 
 def _width(estimate: Estimate) -> float:

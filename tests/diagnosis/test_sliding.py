@@ -216,3 +216,15 @@ def test_too_little_motion_and_hidden_states_give_no_fit() -> None:
     assert fit_sliding(SlidingModel("coulomb", (), free, short, 2e-5), VALUES) is None
     for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
         assert fit_sliding(SlidingModel("coulomb", (name,), free, over, 2e-5), VALUES) is None
+
+
+def test_what_the_motion_does_not_show_has_no_interval() -> None:
+    """The step comes after the records: neither its torque nor its onset changes anything."""
+    over = slid(9, seconds=8.0)
+    own = ("disturbance_step.torque", "disturbance_step.onset")
+    free = (Free("J", 0.0, 1.0), *(Free(name, 0.0, 100.0) for name in own))
+    values = VALUES | {own[0]: 0.01, own[1]: 50.0}
+    model = SlidingModel("coulomb", ("disturbance_step",), free, over, 2e-5)
+    known = evaluate(model, values, NOISE).deviations()
+    assert 0.0 < known["J"] < 1e-3
+    assert known[own[0]] == known[own[1]] == math.inf

@@ -198,7 +198,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
             if whole.tried
             else f"{longer} was not tried"
         )
-        return f"{line}. Its parameters are those of the segments: {why}."
+        return f"{line}. It is not refitted to that: {why}."
     to = (
         "whole records"
         if whole.whole
