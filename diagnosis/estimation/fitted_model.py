@@ -19,7 +19,7 @@ FAST_NOISE_PASSES = 2  # alternations under a noise that is kept fast
 # Hz: a disturbance with at least this corner frequency cannot hide a slow effect
 FAST_CORNER = 10.0
 BRIEF_CORNER = 30.0  # Hz: least corner frequency of a noise that is kept fast
-# of the motion's square: a larger error calls for start values from the inverse dynamics
+# of the motion's square: a larger error calls for start values from the sliding motion
 POOR_FIT_SHARE = 0.03
 DIVERGED_SHARE = 1.0  # of the motion's square: a model with a larger error has diverged
 REDUCED_FRICTION = 0.5  # of the dry friction: start value for a model that diverges

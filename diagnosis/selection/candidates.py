@@ -230,7 +230,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Effect
         else ()
     ):
         alone = {key: value for key, value in joint.values.items() if key.startswith(f"{name}.")}
-        # with the parameters of the inverse dynamics, and with those of the simulated model: either
+        # with the parameters of the sliding motion, and with those of the simulated model: either
         # may be closer
         for place in ((joint.values, context.fitted.problem.initial), (alone, fit.initial)):
             trials.append(

@@ -1,4 +1,4 @@
-"""Start values of effects: from the residual, from the inverse dynamics, from the nominal model."""
+"""Start values of effects: from the residual, from the sliding motion, from the nominal model."""
 
 from __future__ import annotations
 
