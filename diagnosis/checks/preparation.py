@@ -150,10 +150,7 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         raise BristleError(
             f"records: none lasts three segments of {length * h:g} s; give longer ones"
         )
-    # the sensor's step, or the noise in its place
-    resolution = model.resolution or max(r.resolution or 0.0 for r in records)
-    noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
-    resolution, grid = resolution or max(noise, 1e-12), Grid(h, width, bins, velocity)
+    resolution, grid = _resolution_of(model, long), Grid(h, width, bins, velocity)
     # the segments, their smoothed motion, and which effects these records can show
     pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution) for r in long)
     segments = Segments(h, width, bins, velocity, pieces)
@@ -173,6 +170,13 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
         h >= SLOW_SAMPLING and not any(r.ahead for r in records),
     )
+
+
+def _resolution_of(model: Model, records: Sequence[Record]) -> float:
+    """Return the sensor's step [unit of the output], or the noise in its place."""
+    known = model.resolution or max(r.resolution or 0.0 for r in records)
+    noise = np.median([np.std(r.y - smooth(r.y, r.h, 3 * r.h)) for r in records])
+    return known or max(float(noise), 1e-12)
 
 
 def recorded_motion(dataset: Dataset) -> RecordedMotion:

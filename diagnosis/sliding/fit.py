@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bristle.common.errors import NotStaticError
 from bristle.common.table import Array
@@ -156,7 +157,7 @@ class SlidingFit:
 
 def _scaled(columns: Array) -> Array:
     size = np.sqrt(np.square(columns).sum(axis=0))
-    return columns[:, size > 0] / size[size > 0]
+    return np.asarray(columns[:, size > 0] / size[size > 0])
 
 
 def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> SlidingFit:
@@ -207,7 +208,7 @@ def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
     return new if math.isfinite(new.total) else None
 
 
-def _held(fit: SlidingFit) -> Array:
+def _held(fit: SlidingFit) -> NDArray[np.bool_]:
     """Return which parameters (k,) press against an end of their intervals."""
     slope, noise = fit.gradient, fit.noise
     least = LEAST_SENSOR * fit.model.resolution / math.sqrt(12.0)

@@ -13,6 +13,7 @@ from bristle.common.table import Array
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.model.python import for_arrays
 from bristle.model.system import System
+from bristle.plant.effect import Effect
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
@@ -30,10 +31,7 @@ def _function(
     """
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
-    # what depends on older inputs, or on another inertia, is no function of the motion
-    remembers = system.before or system.after or system.modes
-    own = [state for e in members for state in e.states]
-    if remembers or own or any(e.output or e.coupling or e.bristles for e in members):
+    if system.before or system.after or system.modes or not all(map(_is_static, members)):
         raise NotStaticError
     rate, v = system.rates["v"], system.symbols["v"]
     if (dry := system.dry) is not None:
@@ -48,6 +46,11 @@ def _function(
     inputs = [ca.vertcat(*(symbols[name] for name in (*MOTION, *names)))]
     function = ca.Function("sliding", inputs, [ca.cse(ca.densify(both))])
     return for_arrays(function), {name: p.default for name, p in system.parameters.items()}
+
+
+def _is_static(effect: Effect) -> bool:
+    """Return whether what an effect does depends on no older input and on no other inertia."""
+    return not (effect.states or effect.output or effect.coupling or effect.bristles)
 
 
 def _settled(system: System) -> tuple[ca.SX, ca.SX]:
