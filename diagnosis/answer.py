@@ -821,12 +821,25 @@ class Diagnosis(_Written):
 
 
 @dataclass(frozen=True)
+class AfterStart:
+    """Errors of a record in open loop after its first `samples`, to which alone its start was
+    fitted: as of `ValidatedRecord`.
+    """
+
+    samples: int
+    rms: float
+    fit_percent: float
+    mse_percent: float
+
+
+@dataclass(frozen=True)
 class ValidatedRecord:
     """A record in open loop: errors in `unit`, FIT and the error of eq. (25) in per cent; NaN where
     they cannot be given.
 
     `horizons`: (horizon [s], rms error); the last one is the whole record. `time` [s], `input`
-    [SI], `measured`, `simulated`: sample by sample, shape (n,).
+    [SI], `measured`, `simulated`: sample by sample, shape (n,). `after_start`: the errors where the
+    start is not fitted to the whole record; None if that was not asked for, or is not possible.
     """
 
     name: str
@@ -839,6 +852,7 @@ class ValidatedRecord:
     input: Array
     measured: Array
     simulated: Array
+    after_start: AfterStart | None = None
 
     @property
     def trace(self) -> RecordTrace:

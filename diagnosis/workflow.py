@@ -270,7 +270,9 @@ def teller(progress: Progress | None) -> Progress:
 
 
 # -- validation ------------------------------------------------------------------------------------
-def validate(model: Model, records: Sequence[Record]) -> Validation:
+def validate(
+    model: Model, records: Sequence[Record], start_samples: int | None = None
+) -> Validation:
     """Simulate a model over records in open loop, and compare.
 
     Parameters
@@ -281,6 +283,9 @@ def validate(model: Model, records: Sequence[Record]) -> Validation:
     records : sequence of Record
         From `load_records` or `records_from_arrays`. Position and velocity at their starts are
         fitted.
+    start_samples : int, optional
+        Simulate each record also from a start that is fitted to so many of its first samples alone,
+        and give the errors after them, as benchmarks of identification do.
 
     Returns
     -------
@@ -295,11 +300,16 @@ def validate(model: Model, records: Sequence[Record]) -> Validation:
     check_arguments(model, records)
     records, notes = on_one_clock(model, records)
     name = model.friction if model.path is None else model.path.name
-    return validated(name, model, records, model_simulation(model, records[0].h), notes)
+    simulation = model_simulation(model, records[0].h)
+    return validated(name, model, records, simulation, notes, start_samples)
 
 
 def validate_fmu(
-    fmu_path: Path, model: Model, records: Sequence[Record], timeout: float | None = None
+    fmu_path: Path,
+    model: Model,
+    records: Sequence[Record],
+    timeout: float | None = None,
+    start_samples: int | None = None,
 ) -> Validation:
     """Simulate a plant FMU over records in open loop, and compare.
 
@@ -315,6 +325,8 @@ def validate_fmu(
         From `load_records` or `records_from_arrays`.
     timeout : float, optional
         Seconds that a simulation may take.
+    start_samples : int, optional
+        As of `validate`.
 
     Returns
     -------
@@ -330,4 +342,5 @@ def validate_fmu(
     """
     check_arguments(model, records)
     fmu = plant_fmu(fmu_path, model)
-    return validated_fmu(fmu, model, records, unit_notes(fmu, model), timeout)
+    notes = unit_notes(fmu, model)
+    return validated_fmu(fmu, model, records, notes, timeout, start_samples)

@@ -436,6 +436,7 @@ def validate(
     *,
     fmu: PathLike | None = None,
     timeout: float | None = None,
+    start_samples: int | None = None,
 ) -> Validation:
     """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from
     what was measured.
@@ -454,6 +455,9 @@ def validate(
         gives the columns.
     timeout : float, optional
         Seconds that a simulation of an FMU may take.
+    start_samples : int, optional
+        Simulate each record also from a start that is fitted to so many of its first samples alone,
+        and give the errors after them.
 
     Returns
     -------
@@ -477,9 +481,10 @@ def validate(
     if files:
         records = diagnosis.load_records(known, files)
     if fmu is None:
-        found = diagnosis.validate(known, records)
+        found = diagnosis.validate(known, records, start_samples)
     else:
-        found = diagnosis.validate_fmu(as_path("fmu", fmu), known, records, timeout)
+        path = as_path("fmu", fmu)
+        found = diagnosis.validate_fmu(path, known, records, timeout, start_samples)
     if out is not None:
         diagnosis.write_validation(found, Path(out), _made(model, fmu, files))
     return found

@@ -35,6 +35,15 @@ FmuOption = Annotated[
     ),
 ]
 
+StartOption = Annotated[
+    int | None,
+    typer.Option(
+        help="also simulate from a start fitted to the first N samples alone, and give the errors"
+        " after them",
+        metavar="N",
+    ),
+]
+
 
 @app.command(
     cls=DataCommand,
@@ -51,6 +60,7 @@ def validate(
     data: DataOption,
     out: OutOption = Path("out/validation"),
     fmu: FmuOption = None,
+    start_samples: StartOption = None,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
@@ -80,9 +90,9 @@ def validate(
         records = diagnosis.load_records(known, data)
         tell("simulating", 0.2)
         found = (
-            diagnosis.validate(known, records)
+            diagnosis.validate(known, records, start_samples)
             if fmu is None
-            else diagnosis.validate_fmu(fmu, known, records, timeout)
+            else diagnosis.validate_fmu(fmu, known, records, timeout, start_samples)
         )
         tell("writing", 0.9)
         write_validation(found, out, provenance_of(model, data, command_line(), fmu))

@@ -72,7 +72,11 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
 def validation_content(validation: Validation) -> dict[str, Any]:
     """Return what validation.json holds: plain numbers, lists and text, no NaN."""
     keys = ("name", "unit", "rms", "fit_percent", "mse_percent", "horizons")
-    rows = [{key: getattr(record, key) for key in keys} for record in validation.records]
+    rows = [
+        {key: getattr(record, key) for key in keys}
+        | ({"after_start": asdict(record.after_start)} if record.after_start else {})
+        for record in validation.records
+    ]
     content: dict[str, Any] = plain(
         {"model": validation.name, "records": rows, "findings": list(validation.findings)}
     )

@@ -18,7 +18,7 @@ from bristle.common.output import (
     to_json,
 )
 from bristle.common.provenance import provenance
-from bristle.diagnosis.answer import ValidatedRecord, Validation
+from bristle.diagnosis.answer import AfterStart, ValidatedRecord, Validation
 from bristle.diagnosis.report.figures.whole_records import (
     DrawnModel,
     horizon_figure,
@@ -70,14 +70,22 @@ def check_validation_places(out: Path, inputs: Iterable[Path]) -> None:
 def sentences(validation: Validation) -> list[str]:
     """Return the result in a sentence a record."""
     return [
-        (
-            f"{validation.name} over {r.name}, open loop: rms error {r.rms:.3g} {r.unit}, FIT"
-            f" {r.fit_percent:.4g} %."
-            if math.isfinite(r.rms)
-            else f"{validation.name} over {r.name}, open loop: the simulation fails."
-        )
+        f"{validation.name} over {r.name}, open loop: {_error(r, r.unit)}.{_after_start(r)}"
         for r in validation.records
     ]
+
+
+def _error(errors: ValidatedRecord | AfterStart, unit: str) -> str:
+    if not math.isfinite(errors.rms):
+        return "the simulation fails"
+    return f"rms error {errors.rms:.3g} {unit}, FIT {errors.fit_percent:.4g} %"
+
+
+def _after_start(r: ValidatedRecord) -> str:
+    if r.after_start is None:
+        return ""
+    first = f"With the start fitted to the first {r.after_start.samples} samples alone"
+    return f" {first}, and from there on: {_error(r.after_start, r.unit)}."
 
 
 def render(validation: Validation, made: Mapping[str, Any]) -> str:
@@ -88,6 +96,7 @@ def render(validation: Validation, made: Mapping[str, Any]) -> str:
         name=validation.name,
         sentences=sentences(validation)[:3],
         records=validation.records,
+        after_start=[(r.name, r.unit, r.after_start) for r in validation.records if r.after_start],
         drawn=[
             (each.name, *_drawn(validation.kind, each, place)) for place, each in enumerate(drawn)
         ],

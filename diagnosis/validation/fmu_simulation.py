@@ -63,6 +63,22 @@ class FmuSimulator:
             ]
         return OpenLoop(tuple(r.y for r in records.all), tuple(simulated))
 
+    def open_loop_after(self, records: Records, samples: int) -> OpenLoop | None:
+        """Return the outputs of the FMU over whole records, begun in the state that their first
+        `samples` show; None if it cannot be started from a given state.
+        """
+        if self.why_whole is not None:
+            return None
+        head = records.head(samples)
+        starts = head.stretches(head.seconds, samples).initial
+        try:
+            return split(
+                records, self._run(records.stretches(records.seconds, records.samples), starts)
+            )
+        except RestartError as error:
+            self.why_whole = str(error)
+            return None
+
     def _restarted(self, s: Segments) -> Array:
         """Return the outputs (stretches, samples), each begun where it fits best: a position moves
         by what its output lacks.

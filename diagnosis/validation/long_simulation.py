@@ -79,6 +79,10 @@ class Records:
         """Length of the longest record."""
         return max(map(len, self.all))
 
+    def head(self, samples: int) -> Records:
+        """Return the first samples of each record."""
+        return replace(self, all=tuple(part(r, slice(samples)) for r in self.all))
+
     def halves(self) -> tuple[Records, Records]:
         """Return every second record and the others or, of a single record, its two halves."""
         if len(self.all) > 1:
@@ -218,8 +222,25 @@ def open_loop(
     """
     fit = with_fitted_starts(servo, values, records.stretches(seconds), records.least)
     s = fit.simulator.segments
-    fine = records.stretches(s.seconds, s.bins * s.width)
-    simulated, _, good, _ = servo.simulator(fine).run(values, fit.initial)
+    return _begun_at(servo, values, records, s.seconds, fit.initial)
+
+
+def open_loop_after(
+    servo: Servo, values: Mapping[str, float], records: Records, samples: int
+) -> OpenLoop:
+    """Return the outputs of a servo over whole records, their starts fitted to the first `samples`
+    alone.
+    """
+    head = records.head(samples)
+    fit = with_fitted_starts(servo, values, head.stretches(head.seconds), records.least)
+    return _begun_at(servo, values, records, records.seconds, fit.initial)
+
+
+def _begun_at(
+    servo: Servo, values: Mapping[str, float], records: Records, seconds: float, starts: Array
+) -> OpenLoop:
+    fine = records.stretches(seconds, records.samples)
+    simulated, _, good, _ = servo.simulator(fine).run(values, starts)
     return split(records, np.where(good[:, None], simulated, np.nan))
 
 

@@ -5,10 +5,13 @@ the start of each to its end.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from bristle.common.errors import BristleError
 from bristle.common.metrics import fit_percent, mse_percent, rms
+from bristle.common.table import Array
 from bristle.diagnosis.answer import (
+    AfterStart,
     Finding,
     Line,
     Reason,
@@ -23,36 +26,68 @@ from bristle.diagnosis.estimation.simulator import (
 )
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.validation.fmu_simulation import FmuSimulator
-from bristle.diagnosis.validation.long_simulation import OpenLoop, Records, open_loop
+from bristle.diagnosis.validation.long_simulation import (
+    OpenLoop,
+    Records,
+    open_loop,
+    open_loop_after,
+)
 from bristle.fmus.host import Fmu
 from bristle.plant.effects import effect as find_effect
 from bristle.records.clock import one_after_the_other, overlap
 from bristle.records.record import Record
 
-# records, and the horizon [s] after which it begins anew
-Simulated = Callable[[Records, float], OpenLoop | None]
+LEAST_START_SAMPLES = 3  # of which position and velocity can be told
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How what is validated is simulated over records; None where that is not possible.
+
+    `anew`: beginning anew after so many seconds, with fitted starts; `after`: whole records, from
+    starts that are fitted to so many samples at their beginning.
+    """
+
+    anew: Callable[[Records, float], OpenLoop | None]
+    after: Callable[[Records, int], OpenLoop | None]
 
 
 def validated(
     name: str,
     model: Model,
     records: Sequence[Record],
-    simulate: Simulated,
+    simulation: Simulation,
     notes: Sequence[Line] = (),
+    start_samples: int | None = None,
 ) -> Validation:
     """Return the errors of a simulation of each record; `notes` go before those of the records."""
-    rows = tuple(_row(r, model, simulate) for r in records)
+    if start_samples is not None:
+        check_start_samples(start_samples, records)
+    rows = tuple(_row(r, model, simulation, start_samples) for r in records)
     own = (line for r in records for line in r.findings)
     return Validation(name, model.output_kind, rows, (*notes, *own))
 
 
-def model_simulation(model: Model, h: float) -> Simulated:
+def check_start_samples(samples: int, records: Sequence[Record]) -> None:
+    """Raise `BristleError` unless each record has so many samples and as many again after them."""
+    most = min(len(r) for r in records) // 2
+    if not LEAST_START_SAMPLES <= samples <= most:
+        raise BristleError(
+            f"{samples} start samples: allowed are {LEAST_START_SAMPLES} to {most}, half of the"
+            " shortest record"
+        )
+
+
+def model_simulation(model: Model, h: float) -> Simulation:
     """Return what simulates a model, only its starts fitted; `h` [s] is the sampling period."""
     servo, values = (
         Servo(model.friction, tuple(model.effects), (), (), fixed_values(h), False),
         model.settings(),
     )
-    return lambda own, seconds: open_loop(servo, values, own, seconds)
+    return Simulation(
+        lambda own, seconds: open_loop(servo, values, own, seconds),
+        lambda own, samples: open_loop_after(servo, values, own, samples),
+    )
 
 
 def validated_fmu(
@@ -61,12 +96,14 @@ def validated_fmu(
     records: Sequence[Record],
     notes: Sequence[Line],
     timeout: float | None = None,
+    start_samples: int | None = None,
 ) -> Validation:
     """Return the errors of a plant FMU, run from the measured state where it can be; how it was run
     goes before the `notes`.
     """
     simulator = FmuSimulator(fmu, model.output_kind == "velocity", timeout)
-    validation = validated(fmu.path.name, model, records, simulator.open_loop, notes)
+    simulation = Simulation(simulator.open_loop, simulator.open_loop_after)
+    validation = validated(fmu.path.name, model, records, simulation, notes, start_samples)
     return replace(validation, notes=(*simulator.notes(), *validation.notes))
 
 
@@ -95,24 +132,40 @@ def on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Reco
     return moved, notes
 
 
-def _row(record: Record, model: Model, simulate: Simulated) -> ValidatedRecord:
+def _row(
+    record: Record, model: Model, simulation: Simulation, start_samples: int | None
+) -> ValidatedRecord:
     resolution = model.resolution or record.resolution or 1e-12
     own = Records((record,), model.output_kind == "velocity", resolution, resolution / 3)
     curve = []
     for seconds in (SEGMENT_SECONDS, *own.horizons(SEGMENT_SECONDS)):
-        loop = simulate(own, seconds)
+        loop = simulation.anew(own, seconds)
         if loop is not None:
             curve.append((seconds, loop.error))
     assert loop is not None  # whole records are simulated anyhow
     [y], [seen] = loop.measured, loop.simulated
-    errors = rms(y - seen), fit_percent(y, seen), mse_percent(y, seen)
     return ValidatedRecord(
         record.name,
         model.output_unit,
-        *errors,
+        *_errors(y, seen),
         tuple(curve),
         record.time[: len(y)],
         record.u[: len(y)],
         y,
         seen,
+        None if start_samples is None else _after_start(own, simulation, start_samples),
     )
+
+
+def _errors(y: Array, seen: Array) -> tuple[float, float, float]:
+    """Return the rms error, FIT and the error of eq. (25) [%] of an output (n,)."""
+    return rms(y - seen), fit_percent(y, seen), mse_percent(y, seen)
+
+
+def _after_start(own: Records, simulation: Simulation, samples: int) -> AfterStart | None:
+    """Return the errors after the first samples, to which alone the start was fitted."""
+    loop = simulation.after(own, samples)
+    if loop is None:
+        return None
+    [y], [seen] = loop.measured, loop.simulated
+    return AfterStart(samples, *_errors(y[samples:], seen[samples:]))

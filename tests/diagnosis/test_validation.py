@@ -17,7 +17,12 @@ import bristle
 from bristle.common.errors import BristleError
 from bristle.common.provenance import provenance_of
 from bristle.diagnosis import Model, Record, validate, validate_fmu
-from bristle.diagnosis.report.validation_page import VALIDATION_FILES, render, write_validation
+from bristle.diagnosis.report.validation_page import (
+    VALIDATION_FILES,
+    render,
+    sentences,
+    write_validation,
+)
 from bristle.fmus import obtain
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
@@ -76,6 +81,37 @@ def test_the_right_model_has_no_error_on_any_horizon(records):
             [0.4, 1.6, 4.0] if r.name == "run 1" else [0.4, 1.6, 2.5]
         )
         assert r.horizons[-1][1] == r.rms
+
+
+def test_a_start_fitted_to_the_first_samples_knows_nothing_of_what_follows(records):
+    [first, _] = records
+    # what comes after moves the start that is fitted to all, and no other
+    later = first.y + np.where(np.arange(len(first.y)) < 200, 0.0, 0.3)
+    [found] = validate(model(), [replace(first, y=later)], 50).records
+    after = found.after_start
+    assert after.samples == 50
+    assert abs(after.rms - 0.3 * math.sqrt(1 - 150 / (len(later) - 50))) < 0.02
+    assert found.rms < 0.95 * after.rms
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("samples", [3, 50])
+def test_the_right_model_has_no_error_from_its_first_samples_either(records, plant, samples):
+    for found in (
+        validate(model(), records, samples),
+        validate_fmu(plant, model(), records, start_samples=samples),
+    ):
+        for r in found.records:
+            assert r.after_start.rms < (0.05 if samples == 3 else 5e-3)
+            assert f"first {samples} samples alone" in sentences(found)[0]
+            assert found.to_dict()["records"][0]["after_start"]["samples"] == samples
+    assert validate(model(), records).to_dict()["records"][0].get("after_start") is None
+
+
+@pytest.mark.parametrize("samples", [2, 1251, -1])
+def test_too_few_or_too_many_first_samples_are_refused(records, samples):
+    with pytest.raises(BristleError, match=f"{samples} start samples: allowed are 3 to 1250"):
+        validate(model(), records, samples)
 
 
 def test_velocities_are_compared_as_they_are(records):
