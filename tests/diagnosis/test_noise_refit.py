@@ -98,13 +98,14 @@ def test_a_converged_noise_refit_changes_nothing(asymmetric: tuple[Dataset, Fit]
     assert again.total == pytest.approx(end.total, abs=2.0)
 
 
-def judged(monkeypatch: pytest.MonkeyPatch, diverged: bool, models: list[dict[str, float]]) -> None:
-    """Let every model fit poorly, and the inverse dynamics give these start values."""
+def judged(
+    monkeypatch: pytest.MonkeyPatch, diverged: bool, slides: dict[str, float] | None
+) -> None:
+    """Let every model fit poorly, and the sliding motion give these start values, if any."""
     monkeypatch.setattr(fitting, "fits_poorly", lambda dataset, fit: True)
     monkeypatch.setattr(fitting, "has_diverged", lambda dataset, fit: diverged)
-    monkeypatch.setattr(
-        fitting, "balanced_model", lambda dataset, fitted: SimpleNamespace(models=models)
-    )
+    found = slides and SimpleNamespace(free_values=slides)
+    monkeypatch.setattr(fitting, "sliding_fit", lambda dataset, servo, values: found)
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((0.0, 3.0), 0), ((0.0, 9.0), 1), ((3.0, 0.0), 0)])
@@ -125,7 +126,7 @@ def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
     ]
     several = iter(ends)
     monkeypatch.setattr(fitting, "fit_with_noise", lambda *_: next(several))
-    judged(monkeypatch, diverged=False, models=[{}])
+    judged(monkeypatch, diverged=False, slides={"J": 1e-3})
     dataset: Any = None
     assert fitting.fit_from_several_starts(dataset, ends[0].servo, {}) is ends[chosen]
 
@@ -145,7 +146,7 @@ def test_a_model_that_diverges_is_fitted_from_less_dry_friction_too(
         )
 
     monkeypatch.setattr(fitting, "fit_with_noise", converge)
-    judged(monkeypatch, diverged=diverged, models=[])
+    judged(monkeypatch, diverged=diverged, slides=None)
     dataset: Any = None
     servo: Any = SimpleNamespace(free=free)
     end = fitting.fit_from_several_starts(dataset, servo, {"J": 2e-3})
