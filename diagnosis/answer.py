@@ -79,6 +79,8 @@ class Reason(StrEnum):
     OUTSIDE_BOUNDS = "outside_bounds"
     COMMON_FACTOR = "common_factor"
     INPUT_CHANGES = "input_changes"
+    ALIASED = "aliased"
+    ALIASED_THROUGHOUT = "aliased_throughout"
     SHORTER_SEGMENTS = "shorter_segments"
     AT_BOUND = "at_bound"
     BEGINS_ANEW = "begins_anew"

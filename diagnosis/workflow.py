@@ -20,7 +20,7 @@ from bristle.diagnosis.answer import (
     Validation,
     finding,
 )
-from bristle.diagnosis.checks.input_hold import InputShare, with_input_share
+from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.preparation import PreparedCase, notes_of, prepared_case
 from bristle.diagnosis.checks.records import check_arguments
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
@@ -196,18 +196,19 @@ def _searched(
     Where the search finds that the input was held otherwise than the records say, they are
     corrected and prepared again.
     """
-    share: InputShare | None = None
+    held = tuple[Finding, ...]()
+    given = records
     options = replace(budget.options, deadline=budget.until(SEARCH_SHARE))
     while True:
-        prepared = prepare(records, notes_of(records, share))
+        prepared = prepare(records, notes_of(given, held))
         if isinstance(prepared, Diagnosis):
             return prepared
         with until(budget.until(COMPARISON_SHARE)):
             outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
         if outcome.input_share is None:
             return prepared, outcome
-        share = outcome.input_share
-        records = with_input_share(records, share)
+        records, more = with_input_share(records, outcome.input_share)
+        held = (*held, *more)
 
 
 def _answered(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,6 +97,12 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def part(self, which: slice) -> Record:
+        """Return a part of the record."""
+        velocity = None if self.velocity is None else self.velocity[which]
+        own = {"time": self.time[which], "u": self.u[which], "y": self.y[which]}
+        return replace(self, **own, velocity=velocity)
 
 
 @dataclass

@@ -7,15 +7,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bristle.diagnosis.answer import Finding, Reason, finding
+from bristle.diagnosis.checks.records import LEAST_DURATION, LEAST_SAMPLES
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
-from bristle.records.input_hold import mixed
+from bristle.records.input_hold import aliased, mixed
 from bristle.records.record import Record
 
 SLOW_SAMPLING = 2e-3  # s: least sampling period at which the hold is tested
@@ -91,6 +94,40 @@ def _likeliest_share(dataset: Dataset, fitted: FittedModel, best: int) -> float:
     return INPUT_SHARES[best]
 
 
-def with_input_share(records: Sequence[Record], input_share: InputShare) -> list[Record]:
-    """Return the records with the mixed input."""
-    return [replace(r, u=mixed(r.u, input_share.share), ahead=input_share.share) for r in records]
+def with_input_share(
+    records: Sequence[Record], input_share: InputShare
+) -> tuple[list[Record], tuple[Finding, ...]]:
+    """Return the records with the mixed input, and what is said of that.
+
+    Where samples do not show the input, the records without these parts come first, if anything is
+    left: the share is to be estimated again then.
+    """
+    parts = [(r, aliased(r.u)) for r in records]
+    pieces = [piece for r, unknown in parts for piece in _shown(r, unknown)]
+    notes = tuple(_aliasing(r, unknown, bool(pieces)) for r, unknown in parts if unknown.any())
+    if notes and pieces:
+        return pieces, notes
+    share = input_share.share
+    mixes = [replace(r, u=mixed(r.u, share), ahead=share) for r in records]
+    return mixes, (*notes, input_share.note)
+
+
+def _shown(record: Record, unknown: NDArray[np.bool_]) -> list[Record]:
+    """Return the parts of a record outside `unknown` samples (n,) that are long enough."""
+    if not unknown.any():
+        return [record]
+    ends = [0, *(np.flatnonzero(np.diff(unknown)) + 1).tolist(), len(unknown)]
+    least = max(LEAST_SAMPLES, round(LEAST_DURATION / record.h))
+    kept = [slice(a, b) for a, b in pairwise(ends) if not unknown[a] and b - a >= least]
+    names = [record.name, *(f"{record.name}, part {k}" for k in range(2, len(kept) + 1))]
+    return [replace(record.part(k), name=name) for k, name in zip(kept, names, strict=False)]
+
+
+def _aliasing(record: Record, unknown: NDArray[np.bool_], left_out: bool) -> Finding:
+    """Return what is said of the `unknown` samples (n,) of a record."""
+    return finding(
+        Reason.ALIASED if left_out else Reason.ALIASED_THROUGHOUT,
+        record=record.name,
+        begin=float(record.time[int(np.argmax(unknown))]),
+        rate=1 / record.h,
+    )

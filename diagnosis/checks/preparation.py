@@ -11,7 +11,7 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
 from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING, InputShare
+from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.estimation.dataset import (
     SEGMENT_SECONDS,
@@ -73,10 +73,9 @@ class PreparedCase:
     remark: Callable[[Diagnosis], Diagnosis] | None = None
 
 
-def notes_of(records: Sequence[Record], input_share: InputShare | None) -> tuple[Line, ...]:
+def notes_of(records: Sequence[Record], held: tuple[Finding, ...]) -> tuple[Line, ...]:
     """Return what is said of the records: what their reading noticed, how the input was held."""
     first, *others = records
-    held = () if input_share is None else (input_share.note,)
     return (*first.findings, *held, *(line for record in others for line in record.findings))
 
 

@@ -81,15 +81,15 @@ class Records:
 
     def head(self, samples: int) -> Records:
         """Return the first samples of each record."""
-        return replace(self, all=tuple(part(r, slice(samples)) for r in self.all))
+        return replace(self, all=tuple(r.part(slice(samples)) for r in self.all))
 
     def halves(self) -> tuple[Records, Records]:
         """Return every second record and the others or, of a single record, its two halves."""
         if len(self.all) > 1:
             return replace(self, all=self.all[::2]), replace(self, all=self.all[1::2])
         middle = len(self.all[0]) // 2
-        return replace(self, all=(part(self.all[0], slice(middle)),)), replace(
-            self, all=(part(self.all[0], slice(middle, None)),)
+        return replace(self, all=(self.all[0].part(slice(middle)),)), replace(
+            self, all=(self.all[0].part(slice(middle, None)),)
         )
 
     def horizons(self, segment: float) -> list[float]:
@@ -113,14 +113,6 @@ class Records:
         grid = Grid(h, width, -(-length // width), self.velocity)
         pieces = tuple(_stretches_of(r, grid, self.resolution) for r in self.all)
         return Segments(h, width, grid.bins, self.velocity, pieces)
-
-
-def part(record: Record, which: slice) -> Record:
-    """Return a part of a record."""
-    velocity = None if record.velocity is None else record.velocity[which]
-    return replace(
-        record, time=record.time[which], u=record.u[which], y=record.y[which], velocity=velocity
-    )
 
 
 def _stretches_of(record: Record, grid: Grid, resolution: float) -> Piece:

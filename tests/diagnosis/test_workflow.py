@@ -260,7 +260,7 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
         first.effects[0].parameters["amplitude"].value, rel=0.02
     )
     # what a prior holds differs a little
-    assert again.gap.before == pytest.approx(first.gap.after, rel=0.4)
+    assert again.gap.before == pytest.approx(first.gap.after, rel=0.5)
 
 
 @pytest.mark.long

@@ -87,6 +87,16 @@ SENTENCES: dict[Reason, str] = {
         " rest of the last one is used ({gain:.0f} nats likelier than a held input); log it as"
         " often as the drive sets it, and look for a lag in its reading"
     ),
+    R.ALIASED: (
+        "record {record}: from {begin:.3g} s on the input oscillates faster than a quarter of the"
+        " sampling rate ({rate:.3g} Hz), so that its samples do not show it (aliasing): that part,"
+        " until the input rests, is left out; log faster, or excite more slowly"
+    ),
+    R.ALIASED_THROUGHOUT: (
+        "record {record}: the input oscillates faster than a quarter of the sampling rate"
+        " ({rate:.3g} Hz), so that its samples do not show it (aliasing), and no other part is"
+        " long enough; log faster, or excite more slowly"
+    ),
     R.SHORTER_SEGMENTS: (
         "the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g}"
         " s were compared instead"
