@@ -20,15 +20,17 @@ from bristle.diagnosis.sliding.torque import Names, sliding_torque
 ITERATIONS = 40  # most steps of a fit
 STOP_GAIN = 0.01  # nats: a step that gains less ends a fit
 LARGEST_STEP = 1.5  # of a logarithm: largest step of a fit
-CORNERS = (0.02, 300.0)  # Hz: corner frequencies that a disturbance may have
+LOWEST_CORNER, HIGHEST_CORNER = 0.02, 300.0  # Hz: of what a disturbance may have
 START_CORNER = 5.0  # Hz: where a fit begins
 START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
+START_WHITE, LEAST_WHITE = 1e-2, 1e-4  # of the same, in a sample: white torque there, and at least
 LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
 # of deviations: how much wider they are than the sandwich gives (benchmarks/estimates.py)
 INTERVAL_FACTOR = 1.2
 LEAST_SHOWN = 1e-9  # of the information of a parameter: less is rounding
 HIDDEN_PART = 1e-3  # of a direction that is not shown: least share of a parameter that is in it
 END_PASSES = 2  # fits to stretches whose ends a fit before predicts
+NOISES = 4  # parameters of the noise: disturbance, corner, sensor, white torque
 BLOCKS = 200  # parts of the records whose scores count as independent
 FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
 SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
@@ -52,6 +54,12 @@ class SlidingModel:
         names = tuple(f.name for f in self.free)
         return sliding_torque(self.law, self.effects, names, values, self.over)
 
+    def least_noises(self, values: Mapping[str, float]) -> Array:
+        """Return the least values of the noise's parameters (NOISES,)."""
+        sensor = LEAST_SENSOR * self.resolution / math.sqrt(12.0)
+        white = LEAST_WHITE * self.drive(values) * math.sqrt(self.over.h)
+        return np.array([0.0, LOWEST_CORNER, sensor, white])
+
     def drive(self, values: Mapping[str, float]) -> float:
         """Return the torque of the input, rms [N.m]."""
         return abs(values["b"]) * float(np.sqrt(np.mean(np.square(self.over.u))))
@@ -62,7 +70,7 @@ class SlidingFit:
     """A fit: parameters by name, noise, log-likelihood [nats], and what its derivatives need.
 
     The parameters of `slopes` (counted, k) and `information` (k, k) are the free ones in their
-    units, then the logarithms of disturbance, corner frequency and sensor noise.
+    units, then the logarithms of disturbance, corner frequency, sensor noise and white torque.
     """
 
     model: SlidingModel
@@ -73,6 +81,11 @@ class SlidingFit:
     innovations: Array
     slopes: Array
     variance_slopes: Array
+
+    @property
+    def noises(self) -> Array:
+        """The noise's parameters (NOISES,)."""
+        return np.exp(self.noise.logarithms[-NOISES:])
 
     @cached_property
     def scores(self) -> Array:
@@ -94,7 +107,7 @@ class SlidingFit:
     def _known_before(self) -> Array:
         """Curvature of the priors (k, k)."""
         prior = [0.0 if f.nominal is None else self._prior(f)[1] for f in self.model.free]
-        return np.diag([*prior, 0.0, 0.0, 0.0])
+        return np.diag([*prior, *np.zeros(NOISES)])
 
     def _prior(self, f: Free) -> tuple[float, float]:
         """Return slope and curvature of the logarithm of a parameter's prior, in its unit."""
@@ -107,7 +120,7 @@ class SlidingFit:
     def gradient(self) -> Array:
         """Slope of the log-likelihood (k,), that of the priors included."""
         prior = [0.0 if f.nominal is None else self._prior(f)[0] for f in self.model.free]
-        return np.asarray(self.scores.sum(axis=0) + np.array([*prior, 0.0, 0.0, 0.0]))
+        return np.asarray(self.scores.sum(axis=0) + np.array([*prior, *np.zeros(NOISES)]))
 
     @cached_property
     def covariance(self) -> Array:
@@ -167,7 +180,7 @@ def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> 
     e, own = through.innovations(model.over.measured, torque)
     slopes = np.column_stack([through.columns(by), own[:, 2:]])
     variance_slopes = np.zeros_like(slopes)
-    variance_slopes[:, -3:] = through.variance_slope[:, 2:]
+    variance_slopes[:, -NOISES:] = through.variance_slope[:, 2:]
     # inertia and viscous friction act in the filter itself
     for k, (name, value) in enumerate(((INERTIA, noise.inertia), (VISCOUS, noise.viscous))):
         for place in [i for i, f in enumerate(model.free) if f.name == name]:
@@ -193,30 +206,22 @@ def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
         else:
             value += float(d)
         values[f.name] = f.clip(value)
-    least = LEAST_SENSOR * model.resolution / math.sqrt(12.0)
-    moved = np.array([fit.noise.torque, fit.noise.corner, fit.noise.sensor]) * np.exp(
-        np.clip(step[-3:], -LARGEST_STEP, LARGEST_STEP)
-    )
-    noise = Noise(
-        values[INERTIA],
-        max(values[VISCOUS], LEAST_RATE * values[INERTIA]),
-        float(moved[0]),
-        float(np.clip(moved[1], *CORNERS)),
-        max(float(moved[2]), least),
-    )
+    by = np.exp(np.clip(step[-NOISES:], -LARGEST_STEP, LARGEST_STEP))
+    least = model.least_noises(values)
+    torque, corner, sensor, white = np.maximum(by * fit.noises, least).tolist()
+    viscous = max(values[VISCOUS], LEAST_RATE * values[INERTIA])
+    noise = Noise(values[INERTIA], viscous, torque, min(corner, HIGHEST_CORNER), sensor, white)
     new = evaluate(model, values, noise)
     return new if math.isfinite(new.total) else None
 
 
 def _held(fit: SlidingFit) -> NDArray[np.bool_]:
     """Return which parameters (k,) press against an end of their intervals."""
-    slope, noise = fit.gradient, fit.noise
-    least = LEAST_SENSOR * fit.model.resolution / math.sqrt(12.0)
+    slope, noises = fit.gradient, fit.noises
     own = [f.leaves(fit.values[f.name], g) for f, g in zip(fit.model.free, slope, strict=False)]
-    corner = (noise.corner <= CORNERS[0] and slope[-2] < 0) or (
-        noise.corner >= CORNERS[1] and slope[-2] > 0
-    )
-    return np.array([*own, False, corner, noise.sensor <= least and slope[-1] < 0])
+    held = (noises <= fit.model.least_noises(fit.values)) & (slope[-NOISES:] < 0)
+    held |= np.array([False, noises[1] >= HIGHEST_CORNER, False, False]) & (slope[-NOISES:] > 0)
+    return np.array([*own, *held])
 
 
 def climb(fit: SlidingFit, iterations: int = ITERATIONS) -> SlidingFit:
@@ -258,6 +263,7 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
         START_SHARE * model.drive(inside),
         START_CORNER,
         model.resolution,
+        START_WHITE * model.drive(inside) * math.sqrt(model.over.h),
     )
     try:
         return _within_what_slides(climb(evaluate(model, inside, noise)))

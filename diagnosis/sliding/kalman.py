@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
 
@@ -28,8 +28,8 @@ START_DOUBT = 3.0  # of the change of speed in a sample, rms: doubt of the speed
 @dataclass(frozen=True)
 class Noise:
     """Parameters of the filter: inertia [kg.m2], viscous friction [N.m.s/rad], a first-order
-    disturbance torque (standard deviation [N.m], corner frequency [Hz]) and the sensor's white
-    noise [unit of the output].
+    disturbance torque (standard deviation [N.m], corner frequency [Hz]), the sensor's white noise
+    [unit of the output] and a white torque [N.m.s^0.5].
     """
 
     inertia: float
@@ -37,11 +37,12 @@ class Noise:
     torque: float
     corner: float
     sensor: float
+    white: float
 
     @property
     def logarithms(self) -> Array:
-        """Logarithms of the five."""
-        return np.log([self.inertia, self.viscous, self.torque, self.corner, self.sensor])
+        """Logarithms of the six."""
+        return np.log([getattr(self, each.name) for each in fields(self)])
 
     @staticmethod
     def of(logarithms: Array) -> Noise:
@@ -49,7 +50,7 @@ class Noise:
         return Noise(*(float(x) for x in np.exp(logarithms)))
 
 
-PARAMETERS = 5  # of `Noise`
+PARAMETERS = len(fields(Noise))
 
 
 @cache
@@ -79,19 +80,19 @@ class _Gains(ctypes.Structure):
 
 
 def _models(logarithms: Array, h: float) -> Array:
-    """Return the 22 numbers of each model (models, 5) over a sample of h [s].
+    """Return the 22 numbers of each model (models, 6) over a sample of h [s].
 
-    x' = v, J v' = T + d - a2 v, d a first-order noise; T is held over the sample. Source:
-    vanloan1978 (matrices of a sampled linear system by one exponential).
+    x' = v, J v' = T + d + w - a2 v, d a first-order noise, w white; T is held over the sample.
+    Source: vanloan1978 (matrices of a sampled linear system by one exponential).
     """
-    inertia, viscous, torque, corner, sensor = np.exp(logarithms.T)
+    inertia, viscous, torque, corner, sensor, white = np.exp(logarithms.T)
     count, decay = len(logarithms), 2 * math.pi * corner
     rates = np.zeros((count, 3, 3))
     rates[:, 0, 1], rates[:, 1, 1], rates[:, 1, 2] = 1.0, -viscous / inertia, 1 / inertia
     rates[:, 2, 2] = -decay
     both, held = np.zeros((count, 6, 6)), np.zeros((count, 4, 4))
     both[:, :3, :3], both[:, 3:, 3:] = -rates, rates.transpose(0, 2, 1)
-    both[:, 2, 5] = 2 * decay * torque**2
+    both[:, 1, 4], both[:, 2, 5] = (white / inertia) ** 2, 2 * decay * torque**2
     held[:, :3, :3], held[:, 1, 3] = rates, 1 / inertia
     power = expm(both * h)
     transition = power[:, 3:, 3:].transpose(0, 2, 1)
@@ -121,8 +122,11 @@ def _starts(models: Array, logarithms: Array, over: Stretches) -> Array:
 
 
 def _with_slopes(values: Array) -> Array:
-    """Return values (1 + 5 + 5, n) at a point and on either side of it, as the value and slopes."""
-    return np.concatenate([values[:1], (values[1:6] - values[6:]) / (2 * SLOPE_STEP)])
+    """Return values (1 + 2 parameters, n) at a point and on either side of it, as the value and
+    slopes.
+    """
+    above, below = np.split(values[1:], 2)
+    return np.concatenate([values[:1], (above - below) / (2 * SLOPE_STEP)])
 
 
 class Filter:
@@ -162,7 +166,7 @@ class Filter:
 
     def innovations(self, measured: Array, torque: Array) -> tuple[Array, Array]:
         """Return the innovations (counted,) of a measurement (samples,) under a torque [N.m], and
-        their slopes (counted, 5) by the logarithms of the parameters.
+        their slopes (counted, 6) by the logarithms of the parameters.
         """
         s = self._stretches
         innovation = np.zeros(len(s.measured))

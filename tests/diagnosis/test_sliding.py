@@ -5,6 +5,7 @@ estimates against servos whose parameters are known.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from bristle.diagnosis.sliding.kalman import Filter, Noise
 from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
 
 H = 1e-3
-NOISE = Noise(0.01, 0.02, 0.004, 10.0, 2e-5)
+NOISE = Noise(0.01, 0.02, 0.004, 10.0, 2e-5, 1e-5)
 FC = 0.12
 VALUES = {"J": 0.01, "a2": 0.02, "coulomb.Fc": FC, "b": 1.0, "u_max": 1e9}
 
@@ -30,9 +31,10 @@ def sampled(noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     rate, parts = 2 * math.pi * noise.corner, 200
     a = np.array([[0, 1, 0], [0, -noise.viscous / noise.inertia, 1 / noise.inertia], [0, 0, -rate]])
     held = np.block([[a, np.array([[0], [1 / noise.inertia], [0]])], [np.zeros((1, 4))]])
-    each = [expm(a * (k + 0.5) * H / parts)[:, 2] for k in range(parts)]
-    spread = 2 * rate * noise.torque**2 * H / parts * sum(np.outer(p, p) for p in each)
-    return expm(H * held), spread
+    each = [expm(a * (k + 0.5) * H / parts) for k in range(parts)]
+    slow = 2 * rate * noise.torque**2 * sum(np.outer(p[:, 2], p[:, 2]) for p in each)
+    white = (noise.white / noise.inertia) ** 2 * sum(np.outer(p[:, 1], p[:, 1]) for p in each)
+    return expm(H * held), (slow + white) * H / parts
 
 
 def slid(
@@ -129,24 +131,24 @@ def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
     """By difference quotients of the log-likelihood, at a point that is not its maximum."""
     over = slid(3, velocity, seconds=4.0)
     values = VALUES | {"J": 0.011, "a2": 0.03, "coulomb.Fc": 0.1}
-    noise = Noise(0.011, 0.03, 0.005, 6.0, 3e-5)
+    noise = Noise(0.011, 0.03, 0.005, 6.0, 3e-5, 2e-5)
     free = tuple(Free(name, 0.0, 1.0) for name in ("J", "a2", "coulomb.Fc"))
     model = SlidingModel("coulomb", (), free, over, 2e-5)
 
     def total(step: float, k: int) -> float:
-        factors = np.ones(6)
+        factors = np.ones(7)
         factors[k] += step
         own = {f.name: values[f.name] * x for f, x in zip(free, factors, strict=False)}
         changed = Noise(
             own["J"],
             own["a2"],
-            *(x * y for x, y in zip((0.005, 6.0, 3e-5), factors[3:], strict=True)),
+            *(x * y for x, y in zip((0.005, 6.0, 3e-5, 2e-5), factors[3:], strict=True)),
         )
         return evaluate(model, values | own, changed).total
 
-    scale = [*(values[f.name] for f in free), 1.0, 1.0, 1.0]
-    quotients = [(total(1e-5, k) - total(-1e-5, k)) / 2e-5 for k in range(6)]
-    assert evaluate(model, values, noise).gradient * scale == pytest.approx(quotients, rel=1e-4)
+    scale = [*(values[f.name] for f in free), 1.0, 1.0, 1.0, 1.0]
+    quotients = [(total(1e-5, k) - total(-1e-5, k)) / 2e-5 for k in range(7)]
+    assert evaluate(model, values, noise).gradient * scale == pytest.approx(quotients, rel=1e-4, abs=1e-3)
 
 
 def test_a_torque_changes_innovations_by_its_column() -> None:
@@ -160,7 +162,7 @@ def test_a_torque_changes_innovations_by_its_column() -> None:
 # -- estimates -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("velocity", [False, True])
 def test_parameters_and_noise_are_found_again(velocity: bool) -> None:
-    noise = Noise(0.01, 0.02, 0.004, 10.0, 5e-3) if velocity else NOISE
+    noise = Noise(0.01, 0.02, 0.004, 10.0, 5e-3, 1e-5) if velocity else NOISE
     fit = fitted(slid(5, velocity, noise))
     deviations = fit.deviations()
     for name in ("J", "a2", "coulomb.Fc"):
@@ -169,6 +171,14 @@ def test_parameters_and_noise_are_found_again(velocity: bool) -> None:
     assert fit.noise.torque == pytest.approx(noise.torque, rel=0.15)
     assert fit.noise.corner == pytest.approx(noise.corner, rel=0.4)
     assert fit.noise.sensor == pytest.approx(noise.sensor, rel=0.05)
+
+
+def test_a_white_torque_is_told_from_a_slow_one() -> None:
+    noise = replace(NOISE, torque=0.002, corner=0.5, white=2e-4)
+    found = fitted(slid(6, noise=noise)).noise
+    assert found.white == pytest.approx(noise.white, rel=0.1)
+    assert 0.001 < found.torque < 0.004
+    assert fitted(slid(6)).noise.white < 5e-5
 
 
 def test_starts_far_away_end_at_the_same_place() -> None:
