@@ -17,7 +17,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,7 @@ import truth
 from scene import Generator, log_uniform
 from threadpoolctl import threadpool_limits
 
-from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis import Model, Record, records_from_arrays
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.fitted_model import sliding_fit
 
@@ -75,12 +75,16 @@ class Drawn:
     records: list[tuple[Array, Array]]  # input, output
 
 
-def draw(rng: Generator) -> Drawn:
-    """Return a pair of records of a random servo.
+# what is hidden: of a servo's true parameters and the unit of time, the fields of truth.c
+Hide = Callable[[Mapping[str, float], float], dict[str, float]]
+
+
+def draw(rng: Generator, kinds: Sequence[str] = tuple(KINDS), hide: Hide | None = None) -> Drawn:
+    """Return a pair of records of a random servo, with what `hide` puts into it.
 
     The generator samples every millisecond: in another unit of time, that is any other period.
     """
-    kind, loop = str(rng.choice(list(KINDS))), str(rng.choice(LOOPS))
+    kind, loop = str(rng.choice(list(kinds))), str(rng.choice(LOOPS))
     servo, h = KINDS[kind], float(rng.choice(PERIODS))
     unit = h / truth.PERIOD  # s, what the generator takes for a second
     true = {name: x * log_uniform(rng, 0.7, 1.3) for name, x in servo.parameters.items()}
@@ -90,17 +94,18 @@ def draw(rng: Generator) -> Drawn:
     plant |= truth.base_friction(plant["J"], plant["Fc"])
     if servo.gravity:
         plant |= {"gravity_amplitude": servo.gravity, "gravity_phase": rng.uniform(-3, 3)}
+    hidden = hide(true, unit) if hide else {}
     truth.RESOLUTION, truth.CORNER = 2 * math.pi / counts, corner * unit
     records = []
     for start in scene.STARTS:
         reference = in_unit(scene.rich(rng), unit, servo.reach)
         noise = truth.disturbance(rng, len(reference) + 1, share * true["Fc"])
         gains = loop_of(rng, plant, loop, servo.limit, unit)
-        record = truth.run(plant, gains, start, reference, noise)
+        record = truth.run(plant | hidden, gains, start, reference, noise)
         u, theta = record.u, record.theta
         if loop == "open loop":  # what a loop asked for, played back under another disturbance
             noise = truth.disturbance(rng, len(reference) + 1, share * true["Fc"])
-            theta = truth.play(plant, start, u, noise, float(reference[0, 0]))
+            theta = truth.play(plant | hidden, start, u, noise, float(reference[0, 0]))
         records.append((u, theta))
     return Drawn(kind, loop, share, corner, counts, h, true | gravity_of(plant), records)
 
@@ -157,6 +162,14 @@ def model_of(rng: Generator, drawn: Drawn) -> Model:
     return Model.from_dict(tree)
 
 
+def measured(rng: Generator, drawn: Drawn) -> tuple[Model, list[Record]]:
+    """Return the model of a servo and what was recorded of it."""
+    model = model_of(rng, drawn)
+    t = [start + drawn.h * np.arange(len(drawn.records[0][0])) for start in (0.0, 100.0)]
+    columns = [(f"run {k}", t[k], u, y) for k, (u, y) in enumerate(drawn.records)]
+    return model, records_from_arrays(model, columns)
+
+
 @dataclass(frozen=True)
 class Estimated:
     """Errors relative to the truth and in standard deviations, of J, a2, Fc; seconds of CPU."""
@@ -170,10 +183,7 @@ class Estimated:
 def estimated(rng: Generator) -> Estimated | None:
     """Return what is estimated of a random servo; None where too little of it slides."""
     drawn = draw(rng)
-    model = model_of(rng, drawn)
-    t = [start + drawn.h * np.arange(len(drawn.records[0][0])) for start in (0.0, 100.0)]
-    columns = [(f"run {k}", t[k], u, y) for k, (u, y) in enumerate(drawn.records)]
-    records = records_from_arrays(model, columns)
+    model, records = measured(rng, drawn)
     dataset = dataset_of(model, records)
     begun = time.process_time()
     fit = sliding_fit(dataset, *base_servo_of(model, dataset))

@@ -156,6 +156,13 @@ class Reason(StrEnum):
     SIGN_TURNED = "sign_turned"
     NEVER_NEGATIVE = "never_negative"
     GUESSED_INERTIA = "guessed_inertia"
+    # why what was found is in doubt
+    SUSPECTED = "suspected"
+    DOUBT_STRENGTH = "doubt_strength"
+    DOUBT_BOUND = "doubt_bound"
+    DOUBT_ERROR = "doubt_error"
+    DOUBT_WHOLE = "doubt_whole"
+    DOUBT_REST = "doubt_rest"
 
 
 @dataclass(frozen=True)
@@ -404,6 +411,8 @@ class Unexplained:
     # rms of the disturbance torque that the fit needs, over that of the input's torque
     disturbance: float = 0.0
     label: Line = ""  # as of the `ResidualView`
+    # whether the disturbance is large, and no motion variable predicts much of the residual
+    disturbed: bool = False
 
     @property
     def predictable(self) -> bool:
@@ -582,6 +591,16 @@ class WholeRecords:
         return self.horizons[-1].after ** 2 > LEAST_FALL * self.horizons[-1].before ** 2
 
     @property
+    def worse_throughout(self) -> bool:
+        """True if it is larger at more than half of the horizons beyond a segment.
+
+        What is nearly unstable, such as a raised arm, drifts away in the long run with any model.
+        """
+        later = self.horizons[1:] or self.horizons
+        worse = sum(h.after**2 > LEAST_FALL * h.before**2 for h in later)
+        return 2 * worse > len(later)
+
+    @property
     def refitted(self) -> bool:
         """True if the parameters are not those of the segments."""
         return self.refitted_to > 0
@@ -739,6 +758,11 @@ class Diagnosis(_Written):
         left.
     agreement : RecordAgreement or None
         Whether the records agree on the parameters; None where that was not tried.
+    suspects : tuple of Named
+        Effects that were found and are in doubt, so that they are not named; then `effects` is
+        empty.
+    doubts : tuple of Finding
+        Why they are in doubt.
     """
 
     verdict: Verdict
@@ -767,12 +791,19 @@ class Diagnosis(_Written):
     unnamed: UnnamedTorque | None = None
     designed: DesignedInput | None = None
     agreement: RecordAgreement | None = None
+    suspects: tuple[Named, ...] = ()
+    doubts: tuple[Finding, ...] = ()
+
+    @property
+    def found(self) -> tuple[Named, ...]:
+        """The effects that the model was refitted with, named or suspected."""
+        return (*self.effects, *self.suspects)
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """Parameters of the model, refitted with the effects, without those of the named ones."""
-        named = {effect.name for effect in self.effects}
-        return {key: e for key, e in self.fitted.items() if key.split(".")[0] not in named}
+        """Parameters of the model, refitted with the effects, without those of the found ones."""
+        found = {effect.name for effect in self.found}
+        return {key: e for key, e in self.fitted.items() if key.split(".")[0] not in found}
 
     @property
     def records_disagree(self) -> bool:

@@ -32,6 +32,7 @@ from bristle.diagnosis.stages.agreement import agreement
 from bristle.diagnosis.stages.case import Budget, SearchedCase, Stage
 from bristle.diagnosis.stages.conclusion import conclude, may_be_nothing, without_effects
 from bristle.diagnosis.stages.design import designed_experiment
+from bristle.diagnosis.stages.doubt import suspected
 from bristle.diagnosis.stages.remarks import remarks
 from bristle.diagnosis.stages.sliding_motion import from_sliding_motion
 from bristle.diagnosis.stages.unnamed_torque import unnamed_torque
@@ -77,6 +78,7 @@ LATER_STEPS = (  # after that
     Step(remarks),
     Step(unnamed_torque, 0.8, Reason.NO_UNNAMED_TORQUE),
     Step(agreement, 0.8, Reason.NOT_COMPARED_RECORDS),
+    Step(suspected),
     Step(designed_experiment, 0.9, Reason.NO_DESIGNED_INPUT, told=("what to measure next", 0.95)),
 )
 

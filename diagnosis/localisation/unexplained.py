@@ -5,7 +5,7 @@ an effect that was named.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from bristle.diagnosis.answer import CERTAIN_P, MIN_SHARE, OUTLIERS, SENSOR_VIEWS, Unexplained
 from bristle.diagnosis.estimation.fitted_model import LARGE_DISTURBANCE
@@ -64,8 +64,8 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
     the largest first.
 
     A multiple of a named wave is its form. The named wave itself, which was free to fit, is
-    something else, and evidence in that view alone is enough. Where nothing is named and the fit
-    needs a large disturbance, there is more to it, whether a view shows it or not.
+    something else, and evidence in that view alone is enough. Where nothing is named, no view shows
+    much and the fit needs a large disturbance, that is what acts.
     """
     unseen = (*SENSOR_VIEWS, OUTLIERS) if model.free_play else SENSOR_VIEWS
     seen = [each for each in shares if each.view not in unseen]
@@ -82,10 +82,11 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
         if _is_large(share, model, same) and not form:
             return Unexplained(True, share.view, share.share, model.disturbance, share.label)
     # else the largest share that is certain, or that of no view
-    flag = not model.named and model.disturbance > LARGE_DISTURBANCE
+    disturbed = not model.named and model.disturbance > LARGE_DISTURBANCE
+    rest = Unexplained(False, None, shares[0].share, model.disturbance, disturbed=disturbed)
     if not certain:
-        return Unexplained(flag, None, shares[0].share, model.disturbance)
-    return Unexplained(flag, certain[0].view, certain[0].share, model.disturbance, certain[0].label)
+        return rest
+    return replace(rest, view=certain[0].view, share=certain[0].share, label=certain[0].label)
 
 
 def _is_large(share: Share, model: FinalModel, same: bool) -> bool:

@@ -15,6 +15,7 @@ from bristle.diagnosis.answer import (
     Estimate,
     Excitation,
     Gap,
+    Named,
     Round,
     Undetected,
     Unexplained,
@@ -34,16 +35,8 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
         {
             "verdict": d.verdict,
             "statement": list(d.statement),
-            "effects": [
-                {
-                    "name": e.name,
-                    "class": e.group,
-                    "parameters": _estimates(e.parameters),
-                    "gain": e.gain,
-                    "p": e.p,
-                }
-                for e in d.effects
-            ],
+            "effects": [_effect(e) for e in d.effects],
+            "suspects": [_effect(e) | {"why": [said(w) for w in d.doubts]} for e in d.suspects],
             "ties": [list(t) for t in d.ties],
             "experiment": d.experiment,
             "experiment_input": _designed(d.designed) if d.designed else None,
@@ -67,6 +60,16 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
         }
     )
     return content
+
+
+def _effect(e: Named) -> dict[str, Any]:
+    return {
+        "name": e.name,
+        "class": e.group,
+        "parameters": _estimates(e.parameters),
+        "gain": e.gain,
+        "p": e.p,
+    }
 
 
 def validation_content(validation: Validation) -> dict[str, Any]:
@@ -102,6 +105,7 @@ def _codes(d: Diagnosis) -> dict[str, Any]:
         "uniform": coded(d.excited.uniform),
         "caveats": [coded(line) for line in d.excited.caveats],
         "hindrance": coded(d.hindrance),
+        "doubts": [coded(doubt) for doubt in d.doubts],
         "unidentified": list(d.unidentified),
         "rounds": [
             {
@@ -148,6 +152,7 @@ def _remains(left: Unexplained) -> dict[str, Any]:
         "view": left.view,
         "share": left.share,
         "disturbance": left.disturbance,
+        "disturbed": left.disturbed,
         "label": said(left.label),
     }
 

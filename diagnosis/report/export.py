@@ -75,7 +75,8 @@ def augment(
         return None
     if diagnosis.proposals:
         return None
-    added = {effect.name: effect.parameters for effect in diagnosis.effects}
+    # suspects were fitted together, and go together
+    added = {effect.name: effect.parameters for effect in diagnosis.found}
     own = diagnosis.parameters
     if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
         added = {
@@ -99,7 +100,7 @@ def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) ->
             f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect"
             " or fill, not both"
         )
-    named = {e.name: e.parameters for e in diagnosis.effects}
+    named = {e.name: e.parameters for e in diagnosis.found}
     own = {
         **(diagnosis.parameters or diagnosis.base),
         **{f"{e}.{key}": x for e, given in named.items() for key, x in given.items()},
@@ -113,7 +114,7 @@ def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) ->
 
 
 def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
-    names = [effect.name for effect in diagnosis.effects]
+    names = [effect.name for effect in diagnosis.found]
     if choose in diagnosis.choices or choose in names:
         return
     members = ", ".join(diagnosis.choices) or ", ".join(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from bristle.diagnosis.answer import Diagnosis
+from collections.abc import Sequence
+
+from bristle.diagnosis.answer import Diagnosis, Named
 from bristle.diagnosis.report.figures.of_diagnosis import as_given
 from bristle.diagnosis.report.text.names import listed, titles_listed
 
@@ -20,6 +22,12 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict as a heading; where that is not enough, it begins with that."""
     if diagnosis.proposals:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
+    if diagnosis.suspects:
+        return f"Suspected, not shown: {_listed(diagnosis, diagnosis.suspects)}"
+    if diagnosis.verdict == "none" and diagnosis.remains.disturbed:
+        return "No effect of the catalogue is missing; a large disturbance acts"
+    if diagnosis.verdict == "named":
+        return f"{_verdict_sentence(diagnosis)}{_beside(diagnosis)}"
     if not _not_enough(diagnosis):
         return _verdict_sentence(diagnosis)
     if (
@@ -34,8 +42,6 @@ def headline(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
-    if diagnosis.verdict == "named":
-        return f"{NOT_ENOUGH}: {_lacking(diagnosis)}"
     sentence = _verdict_sentence(diagnosis)
     return f"{NOT_ENOUGH}: {sentence[0].lower()}{sentence[1:]}"
 
@@ -44,42 +50,38 @@ def mark(diagnosis: Diagnosis) -> tuple[str, str]:
     """Return kind and text of the badge beside it: good only where named effects are enough."""
     if diagnosis.proposals:
         return "bad", "data" if as_given(diagnosis) else "bounds"
-    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICT_WORDS[
-        diagnosis.verdict
-    ]
+    if diagnosis.suspects:
+        return "open", "suspects"
+    if diagnosis.verdict == "none" and diagnosis.remains.disturbed:
+        return "open", "disturbance"
+    short = diagnosis.verdict != "named" and _not_enough(diagnosis)
+    return "open" if short else BADGES[diagnosis.verdict], VERDICT_WORDS[diagnosis.verdict]
+
+
+def _beside(diagnosis: Diagnosis) -> str:
+    """Return what is to be said at once beside names."""
+    if diagnosis.remains.flag:
+        return "; something else stays unexplained"
+    return "; the records do not agree on the parameters" if diagnosis.records_disagree else ""
 
 
 def _not_enough(diagnosis: Diagnosis) -> bool:
-    """Whether much is unexplained, or what was found is in doubt.
-
-    That is where whole records are farther from the model with the named effects than without,
-    where the strength of one of these is not known, and where the records do not agree on the
-    parameters.
-    """
-    whole = diagnosis.whole
-    worse = bool(diagnosis.effects) and whole is not None and whole.worse
-    return (
-        diagnosis.remains.flag
-        or worse
-        or diagnosis.records_disagree
-        or not all(e.known for e in diagnosis.effects)
-    )
+    """Whether much is unexplained, or the records do not agree on the parameters."""
+    return diagnosis.remains.flag or diagnosis.records_disagree
 
 
-def _lacking(diagnosis: Diagnosis) -> str:
-    """Return the named effects, each with those it cannot be distinguished from."""
+def _listed(diagnosis: Diagnosis, effects: Sequence[Named]) -> str:
+    """Return effects, each with those it cannot be distinguished from."""
     ties = {name: tie for tie in diagnosis.ties for name in tie}
     wording = diagnosis.model.wording
-    return listed(
-        [titles_listed(ties.get(e.name, (e.name,)), "or", wording) for e in diagnosis.effects],
-        "and",
-    )
+    each = [titles_listed(ties.get(e.name, (e.name,)), "or", wording) for e in effects]
+    return listed(each, "and")
 
 
 def _verdict_sentence(diagnosis: Diagnosis) -> str:
     wording = diagnosis.model.wording
     if diagnosis.verdict == "named":
-        return f"The model lacks: {_lacking(diagnosis)}"
+        return f"The model lacks: {_listed(diagnosis, diagnosis.effects)}"
     if diagnosis.verdict == "tie":
         sets = "; ".join(titles_listed(tie, "or", wording) for tie in diagnosis.ties)
         return f"The model lacks one of: {sets}; the records fit each equally well"

@@ -120,6 +120,11 @@ def _effects(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
             described(each.name, each.parameters) | {"gain": each.gain, "p": each.p}
             for each in diagnosis.effects
         ],
+        "suspects": [
+            described(each.name, each.parameters) | {"gain": each.gain, "p": each.p}
+            for each in diagnosis.suspects
+        ],
+        "doubts": [words_of(doubt) for doubt in diagnosis.doubts],
         "ties": [effects_listed(tie, "or", wording) for tie in diagnosis.ties],
         "choices": [described(name, choice) for name, choice in diagnosis.choices.items()],
         "chosen": None if choose is None else effect_name(choose, wording),
@@ -150,7 +155,7 @@ def _residual(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "views": sorted(diagnosis.where, key=lambda v: (v.p > LISTED_VIEW_P, -v.share)),
         "unexplained_line": unexplained_line(
-            left, wording, bool(diagnosis.ties and not diagnosis.effects)
+            left, wording, bool(diagnosis.ties and not diagnosis.found)
         )
         if left.flag
         else "",
@@ -164,8 +169,8 @@ def _residual(diagnosis: Diagnosis) -> dict[str, Any]:
 def _model(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
     """Return what the page says of the model's own parameters and of what the records excite."""
     columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
-    if diagnosis.effects:
-        names = listed([each.name for each in diagnosis.effects], "and")
+    if diagnosis.found:
+        names = listed([each.name for each in diagnosis.found], "and")
         columns[f"with {names}"] = diagnosis.parameters
     if diagnosis.whole is not None and diagnosis.whole.refitted:
         before = "of the segments, before the refit to whole records"

@@ -148,7 +148,8 @@ def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
 
     scale = [*(values[f.name] for f in free), 1.0, 1.0, 1.0, 1.0]
     quotients = [(total(1e-5, k) - total(-1e-5, k)) / 2e-5 for k in range(7)]
-    assert evaluate(model, values, noise).gradient * scale == pytest.approx(quotients, rel=1e-4, abs=1e-3)
+    slopes = evaluate(model, values, noise).gradient * scale
+    assert slopes == pytest.approx(quotients, rel=1e-4, abs=1e-3)
 
 
 def test_a_torque_changes_innovations_by_its_column() -> None:

@@ -47,13 +47,14 @@ def test_a_smaller_share_is_enough_where_a_segment_is_an_outlier(share, flag):
     assert not said(Share("tone", share, 0.02), "gravity", outliers=True).flag
 
 
-@pytest.mark.parametrize(("disturbance", "flag"), [(0.11, False), (1.8, True)])
-def test_a_disturbance_as_large_as_the_input_is_reported(disturbance, flag):
-    """A play behind which only the sensor sits: whatever it does looks like a torque of its own."""
+@pytest.mark.parametrize(("disturbance", "large"), [(0.11, False), (1.8, True)])
+def test_a_large_disturbance_is_called_that(disturbance, large):
+    """It is not said that something is missing where nothing but chance predicts it."""
     nothing = Share("theta x a", 1.0, 0.049)
     left = said(nothing, disturbance=disturbance)
-    assert (left.flag, left.view, left.disturbance) == (flag, None, disturbance)
-    assert not said(nothing, "gravity", disturbance=disturbance).flag
+    assert (left.flag, left.disturbed) == (False, large)
+    assert (left.view, left.disturbance) == (None, disturbance)
+    assert not said(nothing, "gravity", disturbance=disturbance).disturbed
 
 
 def test_what_is_left_of_a_gap_that_was_closed_is_small():

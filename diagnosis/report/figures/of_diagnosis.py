@@ -106,7 +106,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, Drawing]:
 
 def improved(diagnosis: Diagnosis) -> bool:
     """True if there is an "after" that differs from "before"."""
-    return bool(diagnosis.effects)
+    return bool(diagnosis.found)
 
 
 def as_given(diagnosis: Diagnosis) -> bool:
@@ -389,7 +389,7 @@ def _candidates(diagnosis: Diagnosis) -> Any:
 
 def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
     """Return what tied in a round: with what was added or, in the last one, with nothing added."""
-    added = {effect.name for effect in diagnosis.effects}
+    added = {effect.name for effect in diagnosis.found}
     open_ = last and each.added is None
     return {
         name

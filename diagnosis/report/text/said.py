@@ -134,6 +134,12 @@ SENTENCES: dict[Reason, str] = {
     R.CHANCE: "no gain above the level that chance reaches",
     R.NOTHING_TO_ADD: "no effect can be added to this model",
     R.OUT_OF_BUDGET: "the time budget was used up",
+    # doubts
+    R.DOUBT_STRENGTH: "the strength of {effects} is not known to within 50 %",
+    R.DOUBT_BOUND: "{parameters} ends at a limit of what it can be",
+    R.DOUBT_ERROR: "the error on held-out segments does not fall by a factor of 1.2",
+    R.DOUBT_WHOLE: "over longer times the model is worse than without",
+    R.DOUBT_REST: "{share:.0%} of the residual can still be predicted",
     R.UNMET: "'{effect}' is significant, but {objection}",
     R.HARMONIC: "'{effect}' may only correct the shape of an effect that was added",
     R.OTHERS_UNFINISHED: "'{effect}' is the best, but others were not tried to the end",
@@ -379,6 +385,13 @@ def _stands_in(facts: Facts) -> str:
     )
 
 
+def _suspected(facts: Facts) -> str:
+    names: Sequence[str] = facts["effects"]
+    are = "is" if len(names) == 1 else "are"
+    why = ", and ".join(said(doubt) for doubt in facts["doubts"])
+    return f"{' and '.join(names)} {are} suspected, but {why}"
+
+
 def _budget_before_all(facts: Facts) -> str:
     so_far = f"; so far, {said(facts['so_far'])}" if facts["so_far"] else ""
     return (
@@ -451,6 +464,7 @@ WITH_CONDITIONS: dict[Reason, Callable[[Any], str]] = {
     R.ADDED: _added,
     R.BOUND: _bound,
     R.STANDS_IN: _stands_in,
+    R.SUSPECTED: _suspected,
     R.BUDGET_BEFORE_ALL: _budget_before_all,
     R.FMU_FOLLOWED: _fmu_followed,
     R.FMU_AGREES: _fmu_agrees,

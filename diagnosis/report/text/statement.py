@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from bristle.diagnosis.answer import (
     OUTLIERS,
-    STRENGTH_HALF_WIDTH,
     Diagnosis,
     Estimate,
     Line,
@@ -70,15 +70,16 @@ def statement(d: Diagnosis) -> tuple[str, ...]:
 def answer_lines(d: Diagnosis) -> tuple[str, ...]:
     """Return what is missing, as the segments show it."""
     left, wording = d.remains, d.model.wording
-    open_tie = bool(d.ties and not d.effects)
+    open_tie = bool(d.ties and not d.found)
     return (
         *(_missing(effect, wording) for effect in d.effects),
+        *(_suspected(effect, wording) for effect in d.suspects),
         *(_tie(tie, d) for tie in d.ties),
         *_without_name(d),
         _error(d),
         *([unexplained_line(left, wording, open_tie)] if left.flag else ()),
+        *([disturbance_line(left, wording)] if left.disturbed else ()),
         *_at_bounds(d.fitted),
-        *_unknown(d),
     )
 
 
@@ -97,15 +98,26 @@ def experiment(d: Diagnosis) -> str:
 
 
 def _missing(e: Named, wording: Wording) -> str:
-    estimates = ", ".join(
-        f"{name} {value(estimate)}" for name, estimate in reported_parameters(e).items()
-    )
-    effect = find_effect(e.name, wording)
-    about = "" if effect.description == effect.title else f", {effect.description}"
     certain = f"Probability that chance improves the fit as much: p ≤ {e.p:.2g}"
     return (
-        f"Missing: {effect_name(e.name, wording)}{about}. Estimated, with 95 % intervals:"
-        f" {estimates}. {certain}."
+        f"Missing: {_described(e, wording)}. Estimated, with 95 % intervals: {_estimated(e)}."
+        f" {certain}."
+    )
+
+
+def _suspected(e: Named, wording: Wording) -> str:
+    return f"Suspected: {_described(e, wording)}. As fitted, if it is that: {_estimated(e)}."
+
+
+def _described(e: Named, wording: Wording) -> str:
+    effect = find_effect(e.name, wording)
+    about = "" if effect.description == effect.title else f", {effect.description}"
+    return f"{effect_name(e.name, wording)}{about}"
+
+
+def _estimated(e: Named) -> str:
+    return ", ".join(
+        f"{name} {value(estimate)}" for name, estimate in reported_parameters(e).items()
     )
 
 
@@ -155,7 +167,7 @@ def _error(d: Diagnosis) -> str:
         alone = "disturbance and sensor noise alone account for less; how much less is not known"
     elif floor >= after:
         alone = f"disturbance and sensor noise alone account for {most}as much"
-    if not d.effects:
+    if not d.found:
         return (
             f"The rms error of the output on held-out segments is {before:.3g} {gap.output_unit}"
             f" after a refit; {alone}."
@@ -211,11 +223,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
 def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:
     """Return a line on the unexplained residual; with an open tie no member of it was added."""
     if left.view is None:
-        seen = (
-            f"a random disturbance of {100 * left.disturbance:.0f} % of the {wording.torque} of the"
-            " input is needed"
-        )
-        seen += " to fit the records, and no motion variable predicts it"
+        seen = _disturbance(left, wording)
     elif left.view == OUTLIERS and left.label:
         where = f"{FAR_OFF} ({said(left.label)})"
         seen = f"{100 * left.share:.0f} % of the residual's power is in {where}"
@@ -230,6 +238,18 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
         else "and no effect that was tried explains it"
     )
     return f"Unexplained residual: {seen}, {end}."
+
+
+def disturbance_line(left: Unexplained, wording: Wording) -> str:
+    """Return a line on a large disturbance that acts as noise does."""
+    return f"A large disturbance acts: {_disturbance(left, wording)}."
+
+
+def _disturbance(left: Unexplained, wording: Wording) -> str:
+    return (
+        f"a random disturbance of {100 * left.disturbance:.0f} % of the {wording.torque} of the"
+        " input (rms) is needed to fit the records, and no motion variable predicts it"
+    )
 
 
 def disagreement_line(agreement: RecordAgreement) -> str:
@@ -326,26 +346,6 @@ def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
         yield f"{', '.join(others)} {limit}; the effect may stand in for another one."
 
 
-def _unknown(d: Diagnosis) -> Iterator[str]:
-    """Give lines on the named effects whose strength or free play is not known."""
-    unknown = [e.name for e in d.effects if not e.known]
-    play = [name for name in unknown if find_effect(name).free_play]
-    for what, names in (
-        ("strength", [name for name in unknown if name not in play]),
-        ("play", play),
-    ):
-        if names:
-            of, it = (
-                effects_listed(names, "or", d.model.wording),
-                "it" if len(names) == 1 else "each",
-            )
-            within = f"{100 * STRENGTH_HALF_WIDTH:.0f} %"
-            yield (
-                f"The {what} of {of} is not known to within {within}: {it} may stand in for"
-                " something else."
-            )
-
-
 # -- what to measure next --------------------------------------------------------------------------
 def what_to_measure(d: Diagnosis) -> str:
     """Return what would show more than the records do, or an empty text."""
@@ -367,6 +367,8 @@ def what_to_measure(d: Diagnosis) -> str:
         lines.append(f"To distinguish {effects_listed(tie, 'from', wording)}: {known or each}.")
     if left.flag and (named or not d.ties):
         lines.append(_search_further(left))
+    elif left.disturbed:
+        lines.append(_search_further(replace(left, view=None)))
     return " ".join(lines)
 
 

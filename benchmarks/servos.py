@@ -1,0 +1,198 @@
+"""Names on servos of several kinds, in loops of several speeds: with nothing hidden, one effect, or
+three.
+
+    python benchmarks/servos.py controls --cases 60 --out out/servos > benchmarks/results/x.md
+    python benchmarks/servos.py singles --cases 160 --out out/servos
+    python benchmarks/servos.py triples --cases 60 --out out/servos
+
+Each pair of records is of a direct drive or a geared motor in which friction dominates, in a PID
+loop of 4 to 40 Hz or driven in open loop, with a disturbance of 3 to 10 % of Fc and a corner of 0.5
+to 30 Hz, an encoder of 1000 to 131072 counts, sampled every 0.25 to 5 ms. An effect's torque is
+0.15 to 1.5 of Fc. An interrupted run continues with the cases that are missing in its folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+# before numpy: one thread a worker
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+sys.path.append(str(Path(__file__).resolve().parent / "blind"))
+
+import numpy as np
+from estimates import draw, measured
+from forms import class_of
+from run import go_on
+from scene import Generator, log_uniform
+from shared import upper_bound, write_json
+
+SERVOS = ("direct drive", "geared motor")
+STRENGTH = (0.15, 1.5)  # of Fc
+COUNTS = {"controls": 0, "singles": 1, "triples": 3}
+
+Fields = dict[str, float]
+Json = dict[str, Any]
+
+
+def _wave(rng: Generator) -> tuple[float, float]:
+    return float(rng.integers(3, 41)), float(rng.uniform(-3, 3))
+
+
+def _sign(rng: Generator) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _cogging(rng: Generator, torque: float, true: Mapping[str, float], unit: float) -> Fields:
+    periods, phase = _wave(rng)
+    of = {"amplitude": torque, "periods": periods, "phase": phase}
+    return {f"cogging_{key}": x for key, x in of.items()}
+
+
+def _position_friction(
+    rng: Generator, torque: float, true: Mapping[str, float], unit: float
+) -> Fields:
+    periods, phase = _wave(rng)
+    amplitude = min(torque, 0.8 * true["Fc"])
+    of = {"amplitude": amplitude, "periods": periods, "phase": phase}
+    return {f"position_friction_{key}": x for key, x in of.items()}
+
+
+def _stribeck(rng: Generator, torque: float, true: Mapping[str, float], unit: float) -> Fields:
+    return {
+        "stribeck_excess": torque / true["Fc"],
+        "stribeck_speed": log_uniform(rng, 0.1, 1.0) * unit,
+    }
+
+
+# by effect: fields of truth.c, of a torque [N.m], the servo and the unit of time [s]
+EFFECTS: dict[str, Callable[[Generator, float, Mapping[str, float], float], Fields]] = {
+    "bias": lambda rng, torque, true, unit: {
+        "bias_torque": _sign(rng) * min(torque, 0.6 * true["Fc"])
+    },
+    "cogging": _cogging,
+    "gravity": lambda rng, torque, true, unit: {
+        "gravity_amplitude": torque,
+        "gravity_phase": float(rng.uniform(-3, 3)),
+    },
+    "position_friction": _position_friction,
+    "stribeck": _stribeck,
+    "quadratic_drag": lambda rng, torque, true, unit: {
+        "quadratic_drag_coefficient": torque / 5.0**2 / unit**2
+    },
+    "load_friction": lambda rng, torque, true, unit: {
+        "load_friction_coefficient": 0.3 * min(torque / true["Fc"], 1.0)
+    },
+    "input_delay": lambda rng, torque, true, unit: {
+        "input_delay_delay": 5e-3 * torque / true["Fc"] / unit
+    },
+    "gain_asymmetry": lambda rng, torque, true, unit: {
+        "gain_asymmetry_share": _sign(rng) * 0.3 * min(torque / true["Fc"], 1.0)
+    },
+}
+
+
+def hidden(rng: Generator, count: int) -> tuple[str, ...]:
+    """Return effects of different classes."""
+    return tuple(str(name) for name in rng.choice(list(EFFECTS), count, replace=False))
+
+
+def diagnose_one(what: str, seed: int, k: int, target: Path) -> None:
+    """Draw and diagnose one case, and write what was found beside what is there."""
+    from bristle.diagnosis import diagnose
+
+    rng = np.random.default_rng([seed, COUNTS[what], k])
+    names = hidden(rng, COUNTS[what])
+
+    def hide(true: Mapping[str, float], unit: float) -> Fields:
+        fields: Fields = {}
+        for name in names:
+            fields |= EFFECTS[name](rng, log_uniform(rng, *STRENGTH) * true["Fc"], true, unit)
+        return fields
+
+    drawn = draw(rng, SERVOS, hide)
+    model, records = measured(rng, drawn)
+    begun, cpu = time.perf_counter(), time.process_time()
+    try:
+        found = diagnose(model, records).to_dict()
+    except Exception as error:
+        found = {"verdict": "error", "error": repr(error), "effects": [], "ties": []}
+    facts = {
+        key: getattr(drawn, key) for key in ("kind", "loop", "disturbance", "corner", "counts", "h")
+    }
+    spent = {"wall": time.perf_counter() - begun, "cpu": time.process_time() - cpu}
+    write_json(
+        target, {"hidden": names, "drawn": facts, "true": drawn.true, **spent, "found": found}
+    )
+
+
+def judged(case: Json) -> str:
+    """Return how right an answer is."""
+    found, true = case["found"], {class_of(name) for name in case["hidden"]}
+    named = {class_of(effect["name"]) for effect in found["effects"]}
+    tied = [{class_of(name) for name in tie} for tie in found["ties"]]
+    if found["verdict"] == "error":
+        return "error"
+    if named - true and not any(named - true <= tie and tie & true for tie in tied):
+        return "wrong"
+    if named == true:
+        return "right"
+    if len(true - named) == 1 and any(true - named <= tie for tie in tied):
+        return "tied with the truth"
+    return "in part" if named else str(found["verdict"])
+
+
+def flagged(case: Json) -> bool:
+    """Return whether an answer says that something is missing."""
+    found = case["found"]
+    return bool(found.get("remains", {}).get("flag")) or found["verdict"] in (
+        "tie",
+        "not_identifiable",
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("what", choices=list(COUNTS))
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    paths = [given.out / f"{given.what}_{given.seed}_{k:03d}.json" for k in range(given.cases)]
+    calls = [(given.what, given.seed, k, path) for k, path in enumerate(paths)]
+    go_on(diagnose_one, calls, given.jobs, given.what)
+    cases = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    print(f"## {given.what.capitalize()}\n\n`python benchmarks/servos.py {given.what}", end=" ")
+    print(f"--cases {given.cases} --seed {given.seed}`\n")
+    print("| | cases | answers | flagged |\n|---|---|---|---|")
+    for title, of in (
+        ("servo", lambda c: c["drawn"]["kind"]),
+        ("loop", lambda c: c["drawn"]["loop"]),
+        ("hidden", lambda c: c["hidden"][0] if given.what == "singles" else ""),
+        ("", lambda c: "all"),
+    ):
+        for value in sorted({of(case) for case in cases} - {""}):
+            rows = [case for case in cases if of(case) == value]
+            answers = Counter(map(judged, rows)).most_common()
+            said = ", ".join(f"{name} {n}" for name, n in answers)
+            print(f"| {title} {value} | {len(rows)} | {said} | {sum(map(flagged, rows))} |")
+    wrong = sum(judged(case) == "wrong" for case in cases)
+    print(
+        f"\nWrong: {wrong} of {len(cases)}, at most {100 * upper_bound(wrong, len(cases)):.1f} %",
+        end=" ",
+    )
+    seconds = [case["wall"] for case in cases]
+    print(f"(95 %). Wall time: {np.median(seconds):.1f} s in the median,", end=" ")
+    print(f"{max(seconds):.0f} s at most.")
+
+
+if __name__ == "__main__":
+    main()
