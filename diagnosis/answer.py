@@ -163,6 +163,8 @@ class Reason(StrEnum):
     DOUBT_ERROR = "doubt_error"
     DOUBT_WHOLE = "doubt_whole"
     DOUBT_REST = "doubt_rest"
+    DOUBT_SIZE = "doubt_size"
+    DOUBT_CANCELLING = "doubt_cancelling"
 
 
 @dataclass(frozen=True)

@@ -336,6 +336,9 @@ class Effect(Extension):
     limits, credible : function
         Intervals of parameters, by short names, from a `RecordedMotion`: how far they may move, and
         beyond which values the effect is named only with a stronger likelihood gain.
+    hardware : mapping
+        Intervals, by short names, beyond which no hardware is known: an effect of such a size is
+        suspected, and not named.
     once_per_turn : bool
         True if it repeats with each turn of a shaft, so that a linear axis does not have it.
     periods : str
@@ -373,6 +376,7 @@ class Effect(Extension):
     search_interval: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     limits: Callable[[RecordedMotion], Limits] | None = None
     credible: Callable[[RecordedMotion], Limits] | None = None
+    hardware: Limits = field(default_factory=dict)
     once_per_turn: bool = False
     periods: str = ""
     excluded: Callable[[FrictionLaw], str] | None = None

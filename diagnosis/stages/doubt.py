@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 
+import numpy as np
+
+from bristle.common.errors import BristleError
+from bristle.common.table import Array
 from bristle.diagnosis.answer import LEAST_FALL, Diagnosis, Finding, Reason, finding
+from bristle.diagnosis.sliding.torque import sliding_torque
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
 
 # share of the residual in a view, unexplained, from which on what was found may stand in for it
 LARGE_REST = 0.3
+# of two torques, each rms: what is left of them together where one undoes the other
+CANCELLED = 0.2
 
 
 def suspected(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
     """Return an answer whose effects are suspects if there is a doubt about them."""
-    doubts = tuple(_doubts(answer)) if answer.effects and not answer.corrections else ()
+    doubts = tuple(_doubts(case, answer)) if answer.effects and not answer.corrections else ()
     if not doubts:
         return answer
     names = tuple(e.name for e in answer.effects)
@@ -29,7 +37,7 @@ def suspected(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
     )
 
 
-def _doubts(answer: Diagnosis) -> Iterator[Finding]:
+def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
     """Give the reasons to doubt the effects of an answer."""
     if unknown := tuple(e.name for e in answer.effects if not e.known):
         yield finding(Reason.DOUBT_STRENGTH, effects=unknown)
@@ -42,9 +50,48 @@ def _doubts(answer: Diagnosis) -> Iterator[Finding]:
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.flag and answer.remains.share >= LARGE_REST:
         yield finding(Reason.DOUBT_REST, share=answer.remains.share)
+    if strange := tuple(_incredible(answer)):
+        yield finding(Reason.DOUBT_SIZE, parameters=strange)
+    if opposed := _cancelling(case, answer):
+        yield finding(Reason.DOUBT_CANCELLING, effects=opposed)
 
 
 def _acts_throughout(answer: Diagnosis) -> bool:
     """Return whether all effects of an answer act in every segment, and lead to no impacts."""
     effects = [find_effect(e.name) for e in answer.effects]
     return not any(e.sparse or e.free_play for e in effects)
+
+
+def _incredible(answer: Diagnosis) -> Iterator[str]:
+    """Give the parameters of the effects that have a value which no hardware has."""
+    for effect in answer.effects:
+        for key, (low, high) in find_effect(effect.name).hardware.items():
+            if not low <= effect.parameters[key].value <= high:
+                yield f"{effect.name}.{key}"
+
+
+def _cancelling(case: SearchedCase, answer: Diagnosis) -> tuple[str, ...]:
+    """Return effects, or the friction law and an effect, whose torques cancel each other wherever
+    the records slide; none if there are none, or torques are no functions of the motion.
+    """
+    servo, over = case.final.servo, case.dataset.stretches
+    values = {**servo.fixed, **case.final.fit.values}
+    values |= {name: e.value for name, e in answer.fitted.items()}
+
+    def torque(law: str, effects: Sequence[str]) -> Array:
+        return sliding_torque(law, tuple(effects), (), values, over)[0][over.counted]
+
+    try:
+        whole = torque(servo.law, servo.effects)
+        parts = {
+            name: whole - torque(servo.law, [e for e in servo.effects if e != name])
+            for name in servo.effects
+        }
+        parts[servo.law] = whole - torque("viscous", servo.effects)
+    except BristleError:
+        return ()
+    for one, other in combinations(parts, 2):
+        size = np.linalg.norm(parts[one]) + np.linalg.norm(parts[other])
+        if size > 0 and np.linalg.norm(parts[one] + parts[other]) < CANCELLED * size:
+            return one, other
+    return ()

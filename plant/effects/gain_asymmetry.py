@@ -49,4 +49,5 @@ EFFECT = Effect(
     without_truth=("b",),
     off={"share": 0.0},
     starts=starts,
+    hardware={"share": (-0.2, 0.2)},
 )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
@@ -20,14 +22,26 @@ from bristle.diagnosis.answer import (
 from bristle.diagnosis.report.export import augment
 from bristle.diagnosis.report.headline import headline, mark
 from bristle.diagnosis.report.text.statement import open_loop_line
+from bristle.diagnosis.sliding.stretches import stretches_of
 from bristle.diagnosis.stages.doubt import suspected
 
+H = 1e-3
 UNUSED: Any = None  # of a stage's arguments
 
 
-def judged(diagnosis: Diagnosis) -> list[Reason]:
+def moving(*speeds: float, effects: tuple[str, ...] = ()) -> Any:
+    """Return what the doubts need of a case: records that move at these speeds [rad/s], nearly."""
+    t = H * np.arange(3000)
+    records = [(t, np.ones_like(t), v * t + 0.1 * np.sin(3 * t)) for v in speeds]
+    over = stretches_of(records, H, False, 1e-5)
+    servo = SimpleNamespace(law="coulomb", effects=effects, fixed={"b": 1.0, "u_max": 1e9})
+    final = SimpleNamespace(servo=servo, fit=SimpleNamespace(values={"J": 0.01, "a2": 0.02}))
+    return SimpleNamespace(dataset=SimpleNamespace(stretches=over), final=final)
+
+
+def judged(diagnosis: Diagnosis, case: Any = None) -> list[Reason]:
     """Return the doubts about an answer; check that it names its effects if there is none."""
-    found = suspected(UNUSED, diagnosis, UNUSED)
+    found = suspected(case or moving(3.0, -3.0), diagnosis, UNUSED)
     if not found.doubts:
         assert found is diagnosis
         assert mark(found)[0] == "good"
@@ -50,7 +64,7 @@ def whole(*ratios: float) -> WholeRecords:
 def test_what_is_certain_is_named(answer):
     assert judged(answer("named")) == []
     tie = answer("tie")
-    assert suspected(UNUSED, tie, UNUSED) is tie
+    assert suspected(moving(3.0), tie, UNUSED) is tie
 
 
 @pytest.mark.parametrize(
@@ -111,9 +125,33 @@ def test_what_is_left_may_be_what_was_taken_for_an_effect(answer):
     assert judged(replace(named, remains=Unexplained(True, "t", 0.2))) == []
 
 
+def of(diagnosis: Diagnosis, name: str, key: str, value: float) -> Diagnosis:
+    """Return an answer with one effect of so much alone."""
+    estimate = Estimate(value, "", (0.9 * value, 1.1 * value))
+    effect = replace(diagnosis.effects[0], name=name, group=name, parameters={key: estimate})
+    fitted = {f"{name}.{key}": estimate, "coulomb.Fc": Estimate(0.0246, "N.m", (0.02, 0.03))}
+    return replace(diagnosis, effects=(effect,), fitted=fitted)
+
+
+def test_what_cancels_the_friction_wherever_the_servo_moves_is_no_name(answer):
+    """Of an axis that never reverses, a constant torque may undo its friction."""
+    bias = of(answer("named"), "bias", "torque", 0.0251)
+    opposed = [Reason.DOUBT_CANCELLING]
+    assert judged(bias, moving(3.0, 2.0, effects=("bias",))) == opposed
+    assert judged(bias, moving(3.0, -2.0, effects=("bias",))) == []
+    assert judged(bias, moving(-3.0, effects=("bias",))) == []
+    weak = of(answer("named"), "bias", "torque", 0.015)
+    assert judged(weak, moving(3.0, effects=("bias",))) == []
+
+
+@pytest.mark.parametrize(("share", "doubts"), [(0.1, []), (-0.35, [Reason.DOUBT_SIZE])])
+def test_a_size_that_no_hardware_has_is_no_name(answer, share, doubts):
+    assert judged(of(answer("named"), "gain_asymmetry", "share", share)) == doubts
+
+
 def test_a_suspect_gives_its_reasons_and_a_model_only_if_chosen(answer):
     large = replace(answer("named"), remains=Unexplained(True, "t", 0.4))
-    found = suspected(UNUSED, large, UNUSED)
+    found = suspected(moving(3.0), large, UNUSED)
     assert any(line.startswith("Suspected: cogging torque (cogging)") for line in found.statement)
     assert any("is suspected, but 40% of the residual" in line for line in found.statement)
     content = found.to_dict()

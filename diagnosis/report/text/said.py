@@ -139,6 +139,8 @@ SENTENCES: dict[Reason, str] = {
     R.DOUBT_BOUND: "{parameters} ends at a limit of what it can be",
     R.DOUBT_ERROR: "the error on held-out segments does not fall by a factor of 1.2",
     R.DOUBT_WHOLE: "over longer times the model is worse than without",
+    R.DOUBT_SIZE: "{parameters} is larger than hardware has",
+    R.DOUBT_CANCELLING: "the torques of {effects} cancel each other in these records",
     R.DOUBT_REST: "{share:.0%} of the residual can still be predicted",
     R.UNMET: "'{effect}' is significant, but {objection}",
     R.HARMONIC: "'{effect}' may only correct the shape of an effect that was added",
