@@ -211,12 +211,15 @@ class Estimate:
     at_bound: bool = False
 
     def known_within(self, share: float) -> bool:
-        """True if its interval ends less than this share of its value away, and it is at no end of
-        what it may be.
+        """True if it is at no end of what it may be, and its interval reaches less than this share
+        of its value towards 0, and as far in the other direction by the same factor.
+
+        Within a share of 1 it is known that it is not 0.
         """
-        if self.ci95 is None or self.at_bound:
+        if self.ci95 is None or self.at_bound or self.ci95[0] * self.ci95[1] <= 0:
             return False
-        return max(self.ci95[1] - self.value, self.value - self.ci95[0]) < share * abs(self.value)
+        near, far = sorted(map(abs, self.ci95))
+        return near > (1 - share) * abs(self.value) and far * (1 - share) < abs(self.value)
 
 
 @dataclass(frozen=True)

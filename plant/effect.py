@@ -96,10 +96,13 @@ class Context:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A second inertia: its share of the servo's J, and the torque [N.m] of the motor side."""
+    """A second inertia: its share of the servo's J, the torque [N.m] of the motor side, and the
+    share of the servo's friction that acts on it.
+    """
 
     share: SX
     torque: SX
+    friction: SX | None = None
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,13 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     motor = b * work.input("drive", ca.fmin(ca.fmax(asked, -u_max), u_max))
     dry, bound, backward = work.friction(law, friction, load_scale, motor, j)
     bristles = work.bristles(law, friction.bound)
-    torque, inertia = _bodies(system, work, j, motor, tau_load)
-    smooth = dry + a2 * v
+    torque, inertia, kept = _bodies(system, work, (j, a2, bound), motor, tau_load)
+    viscous = a2
+    if kept is not None:
+        dry, viscous = kept * dry, kept * a2
+        bound = None if bound is None else kept * bound
+        backward = None if backward is None else kept * backward
+    smooth = dry + viscous * v
     # rates
     system.rate("theta", v)
     system.rate("v", (torque - smooth) / inertia)
@@ -224,15 +229,20 @@ def _bristles(
     return stiffness * z + damping * bending
 
 
-def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tuple[SX, SX]:
-    """Return (torque without friction, inertia) of the motor side; add the load behind a coupling,
-    where there is one.
+def _bodies(
+    system: System, work: Effects, servo: tuple[SX, SX, SX | None], motor: SX, tau_load: SX
+) -> tuple[SX, SX, SX | None]:
+    """Return torque without friction, inertia, and the share of the friction (None: all of it) of
+    the motor side; add the load behind a coupling, where there is one.
 
-    Source: spong2006 chapter 6 (two inertias behind each other).
+    `servo`: its inertia, viscous friction and bound of the dry friction. Source: spong2006 (chapter
+    6: two inertias behind each other).
     """
+    j, a2, bound = servo
     theta, v = system.symbols["theta"], system.symbols["v"]
     if not work.coupled:
-        return work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v), j
+        alone = work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v)
+        return alone, j, None
     at = system.symbols["theta_start"] - system.parameter(TWIST_START)
     speed = system.symbols["v_start"] - system.parameter(TWISTING_START)
     theta_load = system.state(State("theta_load", "rad", "position of the load", initial=at))
@@ -240,10 +250,26 @@ def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tu
     coupling = work.couple(theta - theta_load, v - v_load)
     system.rate("theta_load", v_load)
     load = work.torque(tau_load + coupling.torque, True, theta_load, v_load)
-    system.rate("v_load", load / (coupling.share * j))
+    inertia = coupling.share * j
+    if coupling.friction is not None:
+        load -= coupling.friction * a2 * v_load
+        if bound is not None:
+            load -= _drag(coupling.friction * bound, inertia, v_load, system.parameter(SAMPLE_TIME))
+    system.rate("v_load", load / inertia)
     system.output(Variable("theta_load", "rad", "position of the load"), theta_load)
     system.output(Variable("v_load", "rad/s", "velocity of the load"), v_load)
-    return work.torque(motor - coupling.torque, False, theta, v), (1 - coupling.share) * j
+    kept = None if coupling.friction is None else 1 - coupling.friction
+    shaft = work.torque(motor - coupling.torque, False, theta, v)
+    return shaft, (1 - coupling.share) * j, kept
+
+
+def _drag(bound: SX, inertia: SX, v: SX, period: SX) -> SX:
+    """Return the dry friction of a load that nothing measures, smooth about standstill.
+
+    F = Fc v / (|v| + Fc h / J): a sampling period brings it nearly to rest. Source: andersson2007
+    (regularised Coulomb friction).
+    """
+    return bound * v / (ca.fabs(v) + bound * period / inertia + 1e-12)
 
 
 def _encoder(system: System, theta: SX, theta_start: SX) -> None:

@@ -13,7 +13,6 @@ from cases import declared, taken
 
 from bristle.diagnosis import diagnose
 from bristle.diagnosis.report.export import augment
-from bristle.diagnosis.validation.long_simulation import part
 from bristle.diagnosis.workflow import validate
 
 
@@ -23,7 +22,7 @@ def main() -> int:
     model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": entry[4]["gain"]}, "m")
     [whole] = taken(model, [entry])
     middle = len(whole) // 2
-    first, second = part(whole, slice(middle)), part(whole, slice(middle, None))
+    first, second = whole.part(slice(middle)), whole.part(slice(middle, None))
     for fitted, other, name in ((first, second, "second"), (second, first, "first")):
         found = diagnose(model, [fitted])
         augmented = augment(found)

@@ -15,10 +15,9 @@ from bristle.plant.effects import effect as find_effect
 # p of a view by itself up to which its wave is taken for real, where a named effect has the same
 # period
 VIEW_ALONE_P = 0.05
-# the same where nothing is named and the model misses some segment by far
-OUTLIER_RECORD_SHARE = 0.08
-# p that no draw reaches, and the share that is enough then, where nothing is named
-SMALLEST_P, SMALLEST_P_SHARE = 0.001, 0.05
+# share of the residual that is reported where nothing is named: views predict up to that of what a
+# slow disturbance and few counts leave
+SHARE_WITHOUT_NAME = 0.2
 MIN_SHARE_OF_GAP = 0.1  # share of the error before, once an effect is named
 SAME_WAVE_SHARE_OF_GAP = 0.05  # the same for a wave with the period of the named effect
 # share of the residual of an oscillation in time, however small beside the error before
@@ -36,7 +35,6 @@ class FinalModel:
     error_left: float = 1.0
     # factor by which the error falls there, with the influence of single segments bounded
     error_fall: float = 1.0
-    outliers: bool = False  # whether it misses some segment by far
     disturbance: float = 0.0  # as of `Unexplained`
 
     @property
@@ -98,6 +96,4 @@ def _is_large(share: Share, model: FinalModel, same: bool) -> bool:
         return share.share >= MIN_SHARE and (
             of_gap or (share.view == "tone" and share.share >= TONE_SHARE)
         )
-    if share.p <= SMALLEST_P:
-        return share.share >= SMALLEST_P_SHARE
-    return share.share >= (OUTLIER_RECORD_SHARE if model.outliers else MIN_SHARE)
+    return share.share >= SHARE_WITHOUT_NAME

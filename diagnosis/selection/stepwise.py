@@ -182,8 +182,15 @@ def decide(context: SearchContext, latest: TrialRound, further: bool = False) ->
     """Return a round with the decision on its best candidate; its strength must not be nothing, and
     of a `further` one be known.
     """
-    if not latest.assessment.accepted:
-        latest = retry_with_shape(context, latest)
+    decided = _decision(context, latest, further)
+    if latest.assessment.accepted and decided.said.outcome != "limit":
+        return decided
+    # a wrong form may be why it is refused
+    other = retry_with_shape(context, latest)
+    return decided if other is latest else _decision(context, other, further)
+
+
+def _decision(context: SearchContext, latest: TrialRound, further: bool) -> TrialRound:
     return (
         _without_worth(context, latest)
         or _beside_rivals(latest)

@@ -28,7 +28,6 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
     disturbance_ratio,
-    has_outliers_or_disturbance,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
@@ -79,7 +78,6 @@ class ErrorsBeforeAndAfter:
             case.dataset.turn,
             self.gap.left,
             self.error_fall,
-            has_outliers_or_disturbance(case.dataset, final.fit),
             disturbance_ratio(case.dataset, final.fit),
         )
         return unexplained(self.shares, model)

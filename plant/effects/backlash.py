@@ -17,8 +17,8 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     """T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = twist beyond half the play; contact never pulls.
 
     The damping grows with the deformation, so that the torque has no jump at contact. Sides as for
-    compliance. Source: nordin2002 (dead-zone model of backlash); hunt1975 (contact damping; n = 1.5
-    where spheres touch).
+    compliance; the share s of the friction acts behind the play. Source: nordin2002 (dead-zone
+    model of backlash); hunt1975 (contact damping; n = 1.5 where spheres touch).
     """
     half = c.p.play / 2
     press = twist - ca.fmin(ca.fmax(twist, -half), half)
@@ -26,24 +26,24 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     return Coupling(
         c.p.share,
         c.p.stiffness * press * shape * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)),
+        c.p.friction,
     )
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one, with
-    a contact of 50 Hz; and some with a contact where the spectrum has its clearest peak."""
+    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one that
+    half of the friction acts on, with a contact of 50 Hz; and some with a contact where the
+    spectrum has its clearest peak."""
     plays = [4 * e.resolution * 2.0**k for k in range(7)]
-    usual = [(share, play, 50.0) for share in (0.25, 0.6) for play in plays]
-    seen = [(0.4, play, frequency) for frequency in e.resonances(1) for play in plays[1::2]]
-    return [
-        {
-            "share": share,
-            "play": play,
-            "stiffness": share * (1 - share) * e.inertia * (2 * math.pi * f) ** 2,
-            "dissipation": 1.5,
-        }
-        for share, play, f in (*usual, *seen)
-    ]
+    light = [_start(e, 0.25, play, 50.0) for play in plays]
+    heavy = [_start(e, 0.6, play, 50.0) | {"friction": 0.5} for play in plays]
+    seen = [_start(e, 0.4, play, peak) for peak in e.resonances(1) for play in plays[1::2]]
+    return [*light, *heavy, *seen]
+
+
+def _start(e: Evidence, share: float, play: float, frequency: float) -> dict[str, float]:
+    stiffness = share * (1 - share) * e.inertia * (2 * math.pi * frequency) ** 2
+    return {"share": share, "play": play, "stiffness": stiffness, "dissipation": 1.5}
 
 
 EFFECT = Effect(
@@ -104,6 +104,16 @@ EFFECT = Effect(
             3.0,
             "of the {torque} over the deformation of the contact",
             "hunt1975",
+        ),
+        Parameter(
+            "backlash.friction",
+            "s",
+            "1",
+            0.0,
+            0.0,
+            1.0,
+            "share of viscous and dry friction that acts behind the play",
+            "nordin2002",
         ),
     ),
     shape_starts=({"exponent": 1.5}, {"exponent": 2.0}),

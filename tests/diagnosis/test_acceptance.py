@@ -661,8 +661,8 @@ def test_a_further_effect_is_added_only_where_its_strength_is_known(
 @pytest.mark.parametrize(
     ("value", "ends", "bound", "known"),
     [
-        (2.0, (1.1, 2.9), False, True),
-        (2.0, (1.9, 3.1), False, False),
+        (2.0, (1.1, 3.9), False, True),
+        (2.0, (1.9, 4.1), False, False),
         (2.0, (0.9, 2.1), False, False),
         (5.0, (4.9, 5.1), True, False),
     ],

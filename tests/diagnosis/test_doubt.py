@@ -69,7 +69,12 @@ def test_what_is_certain_is_named(answer):
 
 @pytest.mark.parametrize(
     ("low", "high", "at_bound", "doubted"),
-    [(0.6, 1.4, False, False), (0.4, 1.5, False, True), (0.9, 1.1, True, True)],
+    [
+        (0.6, 1.9, False, False),
+        (0.4, 1.5, False, True),
+        (0.6, 2.1, False, True),
+        (0.9, 1.1, True, True),
+    ],
 )
 def test_a_strength_must_be_known(answer, low, high, at_bound, doubted):
     named = answer("named")

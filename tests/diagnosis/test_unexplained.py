@@ -15,9 +15,9 @@ TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
 
 
-def said(share, *named, gap=HALF, turn=TURN, outliers=False, disturbance=0.0, **values):
+def said(share, *named, gap=HALF, turn=TURN, disturbance=0.0, **values):
     """What is unexplained of a residual that one view predicts."""
-    model = FinalModel(named, values, turn, gap.left, gap.before / gap.after, outliers, disturbance)
+    model = FinalModel(named, values, turn, gap.left, gap.before / gap.after, disturbance)
     return unexplained([share, Share("t", 0.01, 1.0)], model)
 
 
@@ -28,7 +28,7 @@ def test_a_certain_and_large_share_is_reported_in_any_view():
 
 
 @pytest.mark.parametrize(
-    "share", [Share("history", 0.5, 0.05), Share("history", 0.04, 0.001), Share("du", 0.9, 0.001)]
+    "share", [Share("history", 0.5, 0.05), Share("history", 0.15, 0.001), Share("du", 0.9, 0.001)]
 )
 def test_an_uncertain_small_or_sensor_share_is_not_reported(share):
     assert not said(share).flag
@@ -39,12 +39,11 @@ def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
     assert said(Share("history", share, 0.001), "gravity").flag is flag
 
 
-@pytest.mark.parametrize(("share", "flag"), [(0.07, False), (0.09, True)])
-def test_a_smaller_share_is_enough_where_a_segment_is_an_outlier(share, flag):
-    assert said(Share("tone", share, 0.02), outliers=True).flag is flag
-    assert not said(Share("tone", share, 0.02)).flag
-    assert not said(Share("tone", share, 0.05), outliers=True).flag
-    assert not said(Share("tone", share, 0.02), "gravity", outliers=True).flag
+@pytest.mark.parametrize(("share", "flag"), [(0.19, False), (0.21, True)])
+def test_without_a_name_a_fifth_of_the_residual_is_reported(share, flag):
+    """Where servos differ from those of the calibration, views predict a little of anything."""
+    assert said(Share("tone", share, 0.001)).flag is flag
+    assert not said(Share("tone", share, 0.05)).flag
 
 
 @pytest.mark.parametrize(("disturbance", "large"), [(0.11, False), (1.8, True)])
