@@ -23,6 +23,7 @@ from bristle.diagnosis.answer import (
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.preparation import PreparedCase, notes_of, prepared_case
 from bristle.diagnosis.checks.records import check_arguments
+from bristle.diagnosis.experiment.design import designed_experiment
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
 from bristle.diagnosis.fmu.plant_fmu import plant_fmu, unit_notes
 from bristle.diagnosis.modelfile import Model
@@ -31,7 +32,6 @@ from bristle.diagnosis.selection.stepwise import SearchOutcome, search
 from bristle.diagnosis.stages.agreement import agreement
 from bristle.diagnosis.stages.case import Budget, SearchedCase, Stage
 from bristle.diagnosis.stages.conclusion import conclude, may_be_nothing, without_effects
-from bristle.diagnosis.stages.design import designed_experiment
 from bristle.diagnosis.stages.doubt import suspected
 from bristle.diagnosis.stages.remarks import remarks
 from bristle.diagnosis.stages.sliding_motion import from_sliding_motion

@@ -82,12 +82,8 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     dry, bound, backward = work.friction(law, friction, load_scale, motor, j)
     bristles = work.bristles(law, friction.bound)
     torque, inertia, kept = _bodies(system, work, (j, a2, bound), motor, tau_load)
-    viscous = a2
-    if kept is not None:
-        dry, viscous = kept * dry, kept * a2
-        bound = None if bound is None else kept * bound
-        backward = None if backward is None else kept * backward
-    smooth = dry + viscous * v
+    smooth = kept * (dry + a2 * v)
+    bound, backward = _scaled(kept, bound), _scaled(kept, backward)
     # rates
     system.rate("theta", v)
     system.rate("v", (torque - smooth) / inertia)
@@ -231,9 +227,9 @@ def _bristles(
 
 def _bodies(
     system: System, work: Effects, servo: tuple[SX, SX, SX | None], motor: SX, tau_load: SX
-) -> tuple[SX, SX, SX | None]:
-    """Return torque without friction, inertia, and the share of the friction (None: all of it) of
-    the motor side; add the load behind a coupling, where there is one.
+) -> tuple[SX, SX, SX]:
+    """Return torque without friction, inertia, and the share of the friction of the motor side; add
+    the load behind a coupling, where there is one.
 
     `servo`: its inertia, viscous friction and bound of the dry friction. Source: spong2006 (chapter
     6: two inertias behind each other).
@@ -242,7 +238,7 @@ def _bodies(
     theta, v = system.symbols["theta"], system.symbols["v"]
     if not work.coupled:
         alone = work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v)
-        return alone, j, None
+        return alone, j, SX(1)
     at = system.symbols["theta_start"] - system.parameter(TWIST_START)
     speed = system.symbols["v_start"] - system.parameter(TWISTING_START)
     theta_load = system.state(State("theta_load", "rad", "position of the load", initial=at))
@@ -258,9 +254,13 @@ def _bodies(
     system.rate("v_load", load / inertia)
     system.output(Variable("theta_load", "rad", "position of the load"), theta_load)
     system.output(Variable("v_load", "rad/s", "velocity of the load"), v_load)
-    kept = None if coupling.friction is None else 1 - coupling.friction
+    kept = SX(1) if coupling.friction is None else 1 - coupling.friction
     shaft = work.torque(motor - coupling.torque, False, theta, v)
     return shaft, (1 - coupling.share) * j, kept
+
+
+def _scaled(by: SX, bound: SX | None) -> SX | None:
+    return None if bound is None else by * bound
 
 
 def _drag(bound: SX, inertia: SX, v: SX, period: SX) -> SX:

@@ -8,7 +8,7 @@ from scipy.ndimage import binary_opening, uniform_filter1d
 
 from bristle.common.table import Array
 
-WINDOW = 50  # samples within which an oscillation is told
+OSCILLATION_SAMPLES = 50  # samples within which an oscillation is told
 # of its power about the mean: second differences from which on the input oscillates faster than
 # samples show, which a sine does from a quarter of the sampling rate on
 ALIASED_POWER = 4.0
@@ -31,11 +31,13 @@ def aliased(u: Array) -> NDArray[np.bool_]:
     from there on.
     """
     bend = np.concatenate([[0.0], np.diff(u, 2), [0.0]])
-    power = uniform_filter1d(np.square(u), WINDOW) - np.square(uniform_filter1d(u, WINDOW))
+    power = uniform_filter1d(np.square(u), OSCILLATION_SAMPLES) - np.square(
+        uniform_filter1d(u, OSCILLATION_SAMPLES)
+    )
     rests = power <= REST_POWER * float(np.var(u))
-    fast = ~rests & (uniform_filter1d(np.square(bend), WINDOW) > ALIASED_POWER * power)
+    fast = ~rests & (uniform_filter1d(np.square(bend), OSCILLATION_SAMPLES) > ALIASED_POWER * power)
     # a step out of rest is fast for a few samples
-    fast = binary_opening(fast, np.ones(WINDOW // 2, dtype=bool))
+    fast = binary_opening(fast, np.ones(OSCILLATION_SAMPLES // 2, dtype=bool))
     # what was seen last, of the two
     seen = np.maximum.accumulate(np.where(fast | rests, np.arange(len(u)), 0))
     return np.asarray(fast[seen])

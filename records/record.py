@@ -101,8 +101,8 @@ class Record:
     def part(self, which: slice) -> Record:
         """Return a part of the record."""
         velocity = None if self.velocity is None else self.velocity[which]
-        own = {"time": self.time[which], "u": self.u[which], "y": self.y[which]}
-        return replace(self, **own, velocity=velocity)
+        time, u, y = self.time[which], self.u[which], self.y[which]
+        return replace(self, time=time, u=u, y=y, velocity=velocity)
 
 
 @dataclass

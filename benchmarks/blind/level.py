@@ -37,11 +37,11 @@ from bristle.diagnosis.estimation.dataset import (
     Segments,
 )
 from bristle.diagnosis.estimation.fitted_model import FittedModel
+from bristle.diagnosis.experiment.discrimination import disturbed
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE, REFIT_FACTOR
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.selection.stepwise import search
-from bristle.diagnosis.stages.discrimination import disturbed
 
 LEVEL_SEED = "level"
 FACTORS = (1.0, 2.0, 3.0, 4.0)  # times the quantile of the scores

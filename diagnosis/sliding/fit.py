@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from bristle.common.errors import NotStaticError
 from bristle.common.table import Array
 from bristle.diagnosis.free_parameter import Free
-from bristle.diagnosis.sliding.kalman import Filter, Noise
+from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.sliding.torque import Names, sliding_torque
 
 ITERATIONS = 40  # most steps of a fit
-STOP_GAIN = 0.01  # nats: a step that gains less ends a fit
+LEAST_RISE = 0.01  # nats: a step that gains less ends a fit
 LARGEST_STEP = 1.5  # of a logarithm: largest step of a fit
 LOWEST_CORNER, HIGHEST_CORNER = 0.02, 300.0  # Hz: of what a disturbance may have
 START_CORNER = 5.0  # Hz: where a fit begins
@@ -26,7 +26,7 @@ START_SHARE = 0.1  # of the input's torque, rms: disturbance where a fit begins
 START_WHITE, LEAST_WHITE = 1e-2, 1e-4  # of the same, in a sample: white torque there, and at least
 LEAST_SENSOR = 0.3  # of the noise of a rounding sensor: least noise
 # of deviations: how much wider they are than the sandwich gives (benchmarks/estimates.py)
-INTERVAL_FACTOR = 1.2
+SANDWICH_FACTOR = 1.2
 LEAST_SHOWN = 1e-9  # of the information of a parameter: less is rounding
 HIDDEN_PART = 1e-3  # of a direction that is not shown: least share of a parameter that is in it
 END_PASSES = 2  # fits to stretches whose ends a fit before predicts
@@ -35,7 +35,7 @@ BLOCKS = 200  # parts of the records whose scores count as independent
 FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
 SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
 LEAST_RATE = 1e-6  # 1/s: least viscous friction over inertia that the filter takes
-LEAST_SAMPLES = 500  # counted samples from which on a fit is tried
+LEAST_COUNTED = 500  # counted samples from which on a fit is tried
 INERTIA, VISCOUS = "J", "a2"
 
 
@@ -75,9 +75,9 @@ class SlidingFit:
 
     model: SlidingModel
     values: dict[str, float]
-    noise: Noise
+    noise: SlidingNoise
     total: float
-    filter: Filter
+    filter: KalmanFilter
     innovations: Array
     slopes: Array
     variance_slopes: Array
@@ -133,7 +133,7 @@ class SlidingFit:
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         shown = values > LEAST_SHOWN
         inverse = (vectors[:, shown] / values[shown]) @ vectors[:, shown].T / np.outer(size, size)
-        spread = INTERVAL_FACTOR**2 * inverse @ (sums.T @ sums + self._known_before) @ inverse
+        spread = SANDWICH_FACTOR**2 * inverse @ (sums.T @ sums + self._known_before) @ inverse
         hidden = np.abs(vectors[:, ~shown]).max(axis=1, initial=0.0) > HIDDEN_PART
         hidden |= np.diag(self.information) <= 0.0
         return np.asarray(spread + np.diag(np.where(hidden, np.inf, 0.0)))
@@ -173,10 +173,10 @@ def _scaled(columns: Array) -> Array:
     return np.asarray(columns[:, size > 0] / size[size > 0])
 
 
-def evaluate(model: SlidingModel, values: Mapping[str, float], noise: Noise) -> SlidingFit:
+def evaluate(model: SlidingModel, values: Mapping[str, float], noise: SlidingNoise) -> SlidingFit:
     """Return a model at these parameters."""
     torque, by = model.torque(values)
-    through = Filter(noise, model.over)
+    through = KalmanFilter(noise, model.over)
     e, own = through.innovations(model.over.measured, torque)
     slopes = np.column_stack([through.columns(by), own[:, 2:]])
     variance_slopes = np.zeros_like(slopes)
@@ -210,7 +210,9 @@ def _moved(fit: SlidingFit, step: Array) -> SlidingFit | None:
     least = model.least_noises(values)
     torque, corner, sensor, white = np.maximum(by * fit.noises, least).tolist()
     viscous = max(values[VISCOUS], LEAST_RATE * values[INERTIA])
-    noise = Noise(values[INERTIA], viscous, torque, min(corner, HIGHEST_CORNER), sensor, white)
+    noise = SlidingNoise(
+        values[INERTIA], viscous, torque, min(corner, HIGHEST_CORNER), sensor, white
+    )
     new = evaluate(model, values, noise)
     return new if math.isfinite(new.total) else None
 
@@ -245,7 +247,7 @@ def climb(fit: SlidingFit, iterations: int = ITERATIONS) -> SlidingFit:
                 fit, damping = new, max(damping / 10, 1e-8)
                 break
             damping *= 10
-        if gain < STOP_GAIN:
+        if gain < LEAST_RISE:
             break
     return fit
 
@@ -254,10 +256,10 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
     """Return the likeliest fit from the values of all parameters; None where too little slides or
     the torque is no function of the motion.
     """
-    if len(model.over.counted) < LEAST_SAMPLES:
+    if len(model.over.counted) < LEAST_COUNTED:
         return None
     inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
-    noise = Noise(
+    noise = SlidingNoise(
         inside[INERTIA],
         max(inside[VISCOUS], LEAST_RATE * inside[INERTIA]),
         START_SHARE * model.drive(inside),
@@ -280,7 +282,7 @@ def _within_what_slides(fit: SlidingFit) -> SlidingFit:
     for _ in range(END_PASSES):
         torque, _ = fit.model.torque(fit.values)
         over = replace(fit.model.over, end=fit.filter.ends(torque))
-        if len(over.counted) < LEAST_SAMPLES:
+        if len(over.counted) < LEAST_COUNTED:
             break
         fit = climb(evaluate(replace(fit.model, over=over), fit.values, fit.noise))
     return fit

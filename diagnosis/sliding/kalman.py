@@ -26,7 +26,7 @@ START_DOUBT = 3.0  # of the change of speed in a sample, rms: doubt of the speed
 
 
 @dataclass(frozen=True)
-class Noise:
+class SlidingNoise:
     """Parameters of the filter: inertia [kg.m2], viscous friction [N.m.s/rad], a first-order
     disturbance torque (standard deviation [N.m], corner frequency [Hz]), the sensor's white noise
     [unit of the output] and a white torque [N.m.s^0.5].
@@ -45,12 +45,12 @@ class Noise:
         return np.log([getattr(self, each.name) for each in fields(self)])
 
     @staticmethod
-    def of(logarithms: Array) -> Noise:
+    def of(logarithms: Array) -> SlidingNoise:
         """Return the parameters of these logarithms."""
-        return Noise(*(float(x) for x in np.exp(logarithms)))
+        return SlidingNoise(*(float(x) for x in np.exp(logarithms)))
 
 
-PARAMETERS = len(fields(Noise))
+FILTER_PARAMETERS = len(fields(SlidingNoise))
 
 
 @cache
@@ -129,27 +129,27 @@ def _with_slopes(values: Array) -> Array:
     return np.concatenate([values[:1], (above - below) / (2 * SLOPE_STEP)])
 
 
-class Filter:
+class KalmanFilter:
     """The filter with given parameters over stretches: `variance` of each innovation [output
     squared] and its slopes by the logarithms of the parameters, over all samples of the stretches.
     """
 
-    def __init__(self, noise: Noise, stretches: Stretches) -> None:
+    def __init__(self, noise: SlidingNoise, stretches: Stretches) -> None:
         s, logarithms = stretches, noise.logarithms
         self.noise, self._stretches = noise, s
         self._shown = 1 if s.velocity else 0
-        steps = SLOPE_STEP * np.eye(PARAMETERS)
+        steps = SLOPE_STEP * np.eye(FILTER_PARAMETERS)
         points = np.concatenate([[logarithms], logarithms + steps, logarithms - steps])
         models = _models(points, s.h)
         self._model = np.ascontiguousarray(_with_slopes(models))
         covariance = np.ascontiguousarray(_with_slopes(_starts(models, points, s)))
         most = min(s.longest, MOST_GAINS)
         self._gain, self._variance = np.empty((most, 3)), np.empty(most)
-        self._gain_slope = np.empty((most, PARAMETERS, 3))
-        variance_slope = np.empty((most, PARAMETERS))
+        self._gain_slope = np.empty((most, FILTER_PARAMETERS, 3))
+        variance_slope = np.empty((most, FILTER_PARAMETERS))
         steady = _library().kalman_gains(
             pointer(self._model),
-            PARAMETERS,
+            FILTER_PARAMETERS,
             self._shown,
             pointer(covariance),
             ctypes.c_longlong(most),
@@ -170,10 +170,10 @@ class Filter:
         """
         s = self._stretches
         innovation = np.zeros(len(s.measured))
-        slope = np.zeros((len(s.measured), PARAMETERS))
+        slope = np.zeros((len(s.measured), FILTER_PARAMETERS))
         _library().kalman_innovations(
             pointer(self._model),
-            PARAMETERS,
+            FILTER_PARAMETERS,
             self._shown,
             ctypes.byref(self._over),
             ctypes.byref(self._gains),

@@ -1,5 +1,3 @@
-"""What follows the search, stage by stage: the conclusion, whole answers drawn from its fits, and
-what to measure next.
-"""
+"""What follows the search, stage by stage: conclusion, and whole answers drawn from its fits."""
 
 __all__: list[str] = []

@@ -39,21 +39,26 @@ def suspected(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
 
 def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
     """Give the reasons to doubt the effects of an answer."""
-    if unknown := tuple(e.name for e in answer.effects if not e.known):
-        yield finding(Reason.DOUBT_STRENGTH, effects=unknown)
-    # friction of which the records show none may end at 0
-    if stuck := tuple(k for k, e in answer.parameters.items() if e.at_bound and e.value):
-        yield finding(Reason.DOUBT_BOUND, parameters=stuck)
+    yield from _doubts_of_sizes(answer)
     if LEAST_FALL * answer.gap.after > answer.gap.before and _acts_throughout(answer):
         yield finding(Reason.DOUBT_ERROR)
     if answer.whole is not None and answer.whole.worse_throughout:
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.flag and answer.remains.share >= LARGE_REST:
         yield finding(Reason.DOUBT_REST, share=answer.remains.share)
-    if strange := tuple(_incredible(answer)):
-        yield finding(Reason.DOUBT_SIZE, parameters=strange)
     if opposed := _cancelling(case, answer):
         yield finding(Reason.DOUBT_CANCELLING, effects=opposed)
+
+
+def _doubts_of_sizes(answer: Diagnosis) -> Iterator[Finding]:
+    """Give the reasons that lie in the values of parameters."""
+    if unknown := tuple(e.name for e in answer.effects if not e.known):
+        yield finding(Reason.DOUBT_STRENGTH, effects=unknown)
+    # friction of which the records show none may end at 0
+    if stuck := tuple(k for k, e in answer.parameters.items() if e.at_bound and e.value):
+        yield finding(Reason.DOUBT_BOUND, parameters=stuck)
+    if strange := tuple(_incredible(answer)):
+        yield finding(Reason.DOUBT_SIZE, parameters=strange)
 
 
 def _acts_throughout(answer: Diagnosis) -> bool:

@@ -15,12 +15,12 @@ import pytest
 from bristle.diagnosis.answer import DesignedInput, Diagnosis
 from bristle.diagnosis.estimation.dataset import cut
 from bristle.diagnosis.estimation.likelihood import Problem, evaluate
+from bristle.diagnosis.experiment.design import MARGIN, _Design, _headings
+from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs, move, varied
 from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.text.designed import designed_line
-from bristle.diagnosis.stages.design import MARGIN, _Design, _headings
-from bristle.diagnosis.stages.discrimination import Rival, Setup, disturbed, lead
-from bristle.diagnosis.stages.inputs import Axis, Input, Limits, inputs, move, varied
 
 H = 1e-3
 SAMPLES = 8000

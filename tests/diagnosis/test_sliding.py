@@ -14,17 +14,17 @@ from scipy.linalg import expm, solve_discrete_are
 
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, evaluate, fit_sliding
-from bristle.diagnosis.sliding.kalman import Filter, Noise
+from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
 
 H = 1e-3
-NOISE = Noise(0.01, 0.02, 0.004, 10.0, 2e-5, 1e-5)
+NOISE = SlidingNoise(0.01, 0.02, 0.004, 10.0, 2e-5, 1e-5)
 FC = 0.12
 VALUES = {"J": 0.01, "a2": 0.02, "coulomb.Fc": FC, "b": 1.0, "u_max": 1e9}
 
 
 @cache
-def sampled(noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+def sampled(noise: SlidingNoise) -> tuple[np.ndarray, np.ndarray]:
     """Transition of (position, speed, disturbance, 1 N.m) over a sample, and the covariance of what
     white noise adds, by the midpoints of many parts.
     """
@@ -38,7 +38,7 @@ def sampled(noise: Noise) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slid(
-    seed: int, velocity: bool = False, noise: Noise = NOISE, seconds: float = 24.0
+    seed: int, velocity: bool = False, noise: SlidingNoise = NOISE, seconds: float = 24.0
 ) -> Stretches:
     """Two records of a servo, one sliding forward and one backward, made sample by sample.
 
@@ -100,7 +100,7 @@ def test_innovations_have_the_variance_of_the_riccati_equation(velocity: bool) -
     kept = (states, states)
     steady = solve_discrete_are(step[kept].T, shows[:, states].T, spread[kept], [[NOISE.sensor**2]])
     expected = float((shows[:, states] @ steady @ shows[:, states].T)[0, 0]) + NOISE.sensor**2
-    assert Filter(NOISE, over).variance[-1] == pytest.approx(expected, rel=1e-5)
+    assert KalmanFilter(NOISE, over).variance[-1] == pytest.approx(expected, rel=1e-5)
 
 
 def test_what_moves_as_the_model_says_leaves_no_innovation() -> None:
@@ -109,10 +109,10 @@ def test_what_moves_as_the_model_says_leaves_no_innovation() -> None:
     steady, constant = 0.1 / NOISE.viscous, NOISE.inertia / NOISE.viscous
     y = steady * t + (2.0 - steady) * constant * -np.expm1(-t / constant)
     over = stretches_of([(t, np.full(3000, 0.1), y)], H, False, 1e-6)
-    innovations, _ = Filter(NOISE, over).innovations(over.measured, over.u)
+    innovations, _ = KalmanFilter(NOISE, over).innovations(over.measured, over.u)
     later = over.age > 200  # the start is only known to within the change of speed in a sample
     assert np.abs(innovations[later]).max() < 1e-9
-    wrong, _ = Filter(NOISE, over).innovations(over.measured, 1.01 * over.u)
+    wrong, _ = KalmanFilter(NOISE, over).innovations(over.measured, 1.01 * over.u)
     assert np.abs(wrong[later]).max() > 1e-8
 
 
@@ -131,7 +131,7 @@ def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
     """By difference quotients of the log-likelihood, at a point that is not its maximum."""
     over = slid(3, velocity, seconds=4.0)
     values = VALUES | {"J": 0.011, "a2": 0.03, "coulomb.Fc": 0.1}
-    noise = Noise(0.011, 0.03, 0.005, 6.0, 3e-5, 2e-5)
+    noise = SlidingNoise(0.011, 0.03, 0.005, 6.0, 3e-5, 2e-5)
     free = tuple(Free(name, 0.0, 1.0) for name in ("J", "a2", "coulomb.Fc"))
     model = SlidingModel("coulomb", (), free, over, 2e-5)
 
@@ -139,7 +139,7 @@ def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
         factors = np.ones(7)
         factors[k] += step
         own = {f.name: values[f.name] * x for f, x in zip(free, factors, strict=False)}
-        changed = Noise(
+        changed = SlidingNoise(
             own["J"],
             own["a2"],
             *(x * y for x, y in zip((0.005, 6.0, 3e-5, 2e-5), factors[3:], strict=True)),
@@ -154,7 +154,7 @@ def test_slopes_are_those_of_the_likelihood(velocity: bool) -> None:
 
 def test_a_torque_changes_innovations_by_its_column() -> None:
     over = slid(4, seconds=4.0)
-    through, torque = Filter(NOISE, over), 0.01 * np.cos(over.theta)
+    through, torque = KalmanFilter(NOISE, over), 0.01 * np.cos(over.theta)
     one, _ = through.innovations(over.measured, over.u)
     two, _ = through.innovations(over.measured, over.u + torque)
     assert two - one == pytest.approx(through.columns(torque[None])[:, 0], abs=1e-12)
@@ -163,7 +163,7 @@ def test_a_torque_changes_innovations_by_its_column() -> None:
 # -- estimates -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("velocity", [False, True])
 def test_parameters_and_noise_are_found_again(velocity: bool) -> None:
-    noise = Noise(0.01, 0.02, 0.004, 10.0, 5e-3, 1e-5) if velocity else NOISE
+    noise = SlidingNoise(0.01, 0.02, 0.004, 10.0, 5e-3, 1e-5) if velocity else NOISE
     fit = fitted(slid(5, velocity, noise))
     deviations = fit.deviations()
     for name in ("J", "a2", "coulomb.Fc"):

@@ -14,23 +14,27 @@ from bristle.diagnosis.report.text.said import SENTENCES, WITH_CONDITIONS
 
 ROOT = Path(__file__).resolve().parents[2] / "diagnosis"
 GROUND = {"modelfile", "answer"}
+FITS = {"free_parameter", "sliding"}
 # room, a folder or a file of `diagnosis/`: the rooms that it may import beside itself; none of them
 # imports it back, since each stands below it in this order
 MAY_IMPORT = {
     "modelfile": set(),
     "answer": {"modelfile"},
-    "estimation": GROUND,
-    "checks": {*GROUND, "estimation"},
+    "free_parameter": set(),
+    "sliding": {"free_parameter"},
+    "estimation": {*GROUND, *FITS},
+    "checks": {*GROUND, *FITS, "estimation"},
     "localisation": {"answer", "estimation"},
-    "selection": {"answer", "checks", "estimation", "localisation"},
-    "stages": {*GROUND, "checks", "estimation", "localisation", "selection"},
+    "selection": {"answer", *FITS, "checks", "estimation", "localisation"},
+    "stages": {*GROUND, *FITS, "checks", "estimation", "localisation", "selection"},
     # side by side: none imports another
-    "validation": {*GROUND, "estimation", "stages"},
+    "experiment": {"answer", "checks", "estimation", "selection", "stages"},
+    "validation": {*GROUND, *FITS, "estimation", "stages"},
     "init": {*GROUND, "checks"},
-    "fmu": {*GROUND, "checks", "estimation"},
+    "fmu": {*GROUND, *FITS, "checks", "estimation"},
     # on top: sentences, figures and pages, and the order of the work
     "report": GROUND,
-    "workflow": {*GROUND, "checks", "selection", "stages", "validation", "fmu"},
+    "workflow": {*GROUND, "checks", "experiment", "selection", "stages", "validation", "fmu"},
     "__init__": {*GROUND, "checks", "selection", "fmu", "report", "workflow"},
 }
 MOST_FILES = 9  # of a folder

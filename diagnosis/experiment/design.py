@@ -14,11 +14,11 @@ from bristle.common.table import Array, factor_to
 from bristle.diagnosis.answer import DesignedInput, Diagnosis, Finding
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS
+from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
 from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
 from bristle.diagnosis.stages.case import Budget, SearchedCase
-from bristle.diagnosis.stages.discrimination import Rival, Setup, disturbed, lead
-from bristle.diagnosis.stages.inputs import Axis, Input, Limits, inputs
 from bristle.records.headings import without_unit
 from bristle.records.layout import Layout
 

@@ -1,0 +1,3 @@
+"""What to measure next: the input that tells rivals apart."""
+
+__all__: list[str] = []
