@@ -173,12 +173,13 @@ def main() -> None:
     print(f"## {given.what.capitalize()}\n\n`python benchmarks/servos.py {given.what}", end=" ")
     print(f"--cases {given.cases} --seed {given.seed}`\n")
     print("| | cases | answers | flagged |\n|---|---|---|---|")
-    for title, of in (
+    groups: list[tuple[str, Callable[[Json], str]]] = [
         ("servo", lambda c: c["drawn"]["kind"]),
         ("loop", lambda c: c["drawn"]["loop"]),
         ("hidden", lambda c: c["hidden"][0] if given.what == "singles" else ""),
         ("", lambda c: "all"),
-    ):
+    ]
+    for title, of in groups:
         for value in sorted({of(case) for case in cases} - {""}):
             rows = [case for case in cases if of(case) == value]
             answers = Counter(map(judged, rows)).most_common()

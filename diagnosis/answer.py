@@ -234,11 +234,6 @@ class Named:
     gain: float
     p: float
 
-    @property
-    def known(self) -> bool:
-        """True if its strength, or its free play, is known; else it may be a stand-in."""
-        return self.known_within(STRENGTH_HALF_WIDTH)
-
     def known_within(self, share: float) -> bool:
         """Return whether its strength, or free play, is known to within this share, or given."""
         strength = self.parameters.get(

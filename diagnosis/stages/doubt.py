@@ -15,6 +15,7 @@ from bristle.diagnosis.sliding.torque import sliding_torque
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
 
+DOUBTED_SHARE = 0.75  # within which a strength must be known: a factor of 4
 # share of the residual in a view, unexplained, from which on what was found may stand in for it
 LARGE_REST = 0.3
 # of two torques, each rms: what is left of them together where one undoes the other
@@ -40,9 +41,12 @@ def suspected(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
 def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
     """Give the reasons to doubt the effects of an answer."""
     yield from _doubts_of_sizes(answer)
-    if LEAST_FALL * answer.gap.after > answer.gap.before and _acts_throughout(answer):
+    effects = [find_effect(e.name) for e in answer.effects]
+    # impacts within a play come at other times in any longer simulation
+    impacts, sparse = (any(e.free_play for e in effects), any(e.sparse for e in effects))
+    if LEAST_FALL * answer.gap.after > answer.gap.before and not (impacts or sparse):
         yield finding(Reason.DOUBT_ERROR)
-    if answer.whole is not None and answer.whole.worse_throughout:
+    if answer.whole is not None and answer.whole.worse_throughout and not impacts:
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.flag and answer.remains.share >= LARGE_REST:
         yield finding(Reason.DOUBT_REST, share=answer.remains.share)
@@ -52,19 +56,13 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
 
 def _doubts_of_sizes(answer: Diagnosis) -> Iterator[Finding]:
     """Give the reasons that lie in the values of parameters."""
-    if unknown := tuple(e.name for e in answer.effects if not e.known):
+    if unknown := tuple(e.name for e in answer.effects if not e.known_within(DOUBTED_SHARE)):
         yield finding(Reason.DOUBT_STRENGTH, effects=unknown)
     # friction of which the records show none may end at 0
     if stuck := tuple(k for k, e in answer.parameters.items() if e.at_bound and e.value):
         yield finding(Reason.DOUBT_BOUND, parameters=stuck)
     if strange := tuple(_incredible(answer)):
         yield finding(Reason.DOUBT_SIZE, parameters=strange)
-
-
-def _acts_throughout(answer: Diagnosis) -> bool:
-    """Return whether all effects of an answer act in every segment, and lead to no impacts."""
-    effects = [find_effect(e.name) for e in answer.effects]
-    return not any(e.sparse or e.free_play for e in effects)
 
 
 def _incredible(answer: Diagnosis) -> Iterator[str]:

@@ -70,9 +70,9 @@ def test_what_is_certain_is_named(answer):
 @pytest.mark.parametrize(
     ("low", "high", "at_bound", "doubted"),
     [
-        (0.6, 1.9, False, False),
-        (0.4, 1.5, False, True),
-        (0.6, 2.1, False, True),
+        (0.3, 3.9, False, False),
+        (0.2, 1.5, False, True),
+        (0.6, 4.1, False, True),
         (0.9, 1.1, True, True),
     ],
 )
@@ -116,7 +116,11 @@ def test_drift_in_the_long_run_is_no_doubt(answer):
     """A raised arm drifts away with any model; what counts is most of the horizons."""
     named = answer("named")
     assert judged(replace(named, whole=whole(0.1, 0.2, 0.2, 1.5))) == []
-    assert judged(replace(named, whole=whole(0.1, 1.2, 1.3, 0.9))) == [Reason.DOUBT_WHOLE]
+    worse = replace(named, whole=whole(0.1, 1.2, 1.3, 0.9))
+    assert judged(worse) == [Reason.DOUBT_WHOLE]
+    play = {"play": Estimate(0.02, "rad", (0.019, 0.021))}
+    loose = replace(named.effects[0], name="backlash", parameters=play)
+    assert judged(replace(worse, effects=(loose,))) == []
     # less than an effect must lower the error by
     assert judged(replace(named, whole=whole(0.1, 1.05, 1.05, 1.05))) == []
     assert "worse than without what was found" in open_loop_line(whole(0.1, 1.5), 0.4)
