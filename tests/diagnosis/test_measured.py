@@ -139,21 +139,21 @@ def test_odrive(compensated, data):
     assert any("one direction" in said(line) for line in caveats)
 
 
-def named(model, entries):
-    """Classes of the effects that a diagnosis names."""
-    return {effect.group for effect in diagnose(model, taken(model, entries)).effects}
+def found(model, entries):
+    """Classes of the effects that a diagnosis names or suspects."""
+    return {effect.group for effect in diagnose(model, taken(model, entries)).found}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("compensated", "groups"), [(False, [{"cogging"}]), (True, [set(), {"cogging"}])]
 )
-def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(
+def test_the_cogging_of_a_motor_is_found_as_long_as_nothing_makes_up_for_it(
     compensated, groups, data
 ):
     """A light motor turned slowly: the model without cogging stops where the motor goes on."""
     model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
-    assert named(model, data.odrive(compensated)) in groups
+    assert found(model, data.odrive(compensated)) in groups
 
 
 @pytest.mark.long
