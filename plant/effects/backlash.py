@@ -26,7 +26,7 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     return Coupling(
         c.p.share,
         c.p.stiffness * press * shape * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)),
-        c.p.friction,
+        c.p.friction_share,
     )
 
 
@@ -36,7 +36,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     spectrum has its clearest peak."""
     plays = [4 * e.resolution * 2.0**k for k in range(7)]
     light = [_start(e, 0.25, play, 50.0) for play in plays]
-    heavy = [_start(e, 0.6, play, 50.0) | {"friction": 0.5} for play in plays]
+    heavy = [_start(e, 0.6, play, 50.0) | {"friction_share": 0.5} for play in plays]
     seen = [_start(e, 0.4, play, peak) for peak in e.resonances(1) for play in plays[1::2]]
     return [*light, *heavy, *seen]
 
@@ -106,7 +106,7 @@ EFFECT = Effect(
             "hunt1975",
         ),
         Parameter(
-            "backlash.friction",
+            "backlash.friction_share",
             "s",
             "1",
             0.0,

@@ -27,7 +27,6 @@ from bristle.diagnosis.validation.long_simulation import (
     general_horizon,
     open_loop,
     open_loop_servo,
-    part,
     refit_growing,
     stays,
     with_fitted_starts,
@@ -93,7 +92,7 @@ def test_metrics_that_cannot_be_given_are_not_numbers():
 
 # -- stretches -------------------------------------------------------------------------------------
 def test_a_short_record_ends_where_it_ends_in_a_stretch_of_the_longest():
-    s = records(record(1), part(record(2), slice(5003))).stretches(100.0)
+    s = records(record(1), record(2).part(slice(5003))).stretches(100.0)
     assert [piece.measured.shape[0] for piece in s.pieces] == [1, 1]
     assert s.seconds == pytest.approx(8.0)
     known = np.isfinite(s.pieces[1].measured[0])
