@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import product
 
 import numpy as np
 
@@ -28,8 +27,6 @@ INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covari
 EDGE_INTERVAL_FACTOR = 5.0
 # evaluations for each coefficient of the parabola through a nonsmooth likelihood
 PARABOLA_TRIALS = 6
-SPREAD_PASSES = 2  # in which the spread of these evaluations is made smaller
-FARTHEST_FALL = 10.0  # of the fall at the end of an interval: that of what is too far from the fit
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
 RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
 # half an interval of the strength of an effect over its value, of one that must not be nothing: 0
@@ -110,20 +107,14 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
             for f in own
         ]
     )
-
-    def total(step: Array) -> float:
-        return evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total
-
-    # how far each may move alone before the likelihood falls by far more than an interval allows
-    usual, best = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2, total(np.zeros(k))
-    for i, _ in product(range(k), range(SPREAD_PASSES)):
-        falls = [(best - total(sign * wide * np.eye(k)[i])) / usual for sign in (-1.0, 1.0)]
-        if max(falls) > FARTHEST_FALL:
-            wide[i] /= math.sqrt(max(falls))
     # likelihoods of random values around the fit
-    shape = np.random.default_rng(3).standard_normal((PARABOLA_TRIALS * (1 + k + len(pairs)), k))
-    steps = wide * shape
-    totals = [total(step) for step in steps]
+    steps = wide * np.random.default_rng(3).standard_normal(
+        (PARABOLA_TRIALS * (1 + k + len(pairs)), k)
+    )
+    totals = [
+        evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total
+        for step in steps
+    ]
     # the parabola through them, and how far they scatter around it
     columns = np.column_stack(
         [np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)]
@@ -137,7 +128,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     for (i, j), c in zip(pairs, coefficients[1 + k :], strict=True):
         curvature[i, j] -= c
         curvature[j, i] -= c
-    fall = usual + 2 * uneven
+    fall = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2 + 2 * uneven
     values, vectors = np.linalg.eigh(curvature)
     inverse = (vectors / np.maximum(values, 2 * fall / WIDEST_HALF_INTERVAL**2)) @ vectors.T
     return {
