@@ -565,6 +565,11 @@ class HorizonError:
     segments: float
     after: float
 
+    @property
+    def worse(self) -> bool:
+        """True if the squared error is larger after, by as much as an effect must lower it."""
+        return self.after**2 > LEAST_FALL * self.before**2
+
 
 @dataclass(frozen=True)
 class WholeRecords:
@@ -588,7 +593,7 @@ class WholeRecords:
         """True if the squared error over whole records is larger after the search, by as much as an
         effect must lower it.
         """
-        return self.horizons[-1].after ** 2 > LEAST_FALL * self.horizons[-1].before ** 2
+        return self.horizons[-1].worse
 
     @property
     def worse_throughout(self) -> bool:
@@ -597,8 +602,7 @@ class WholeRecords:
         What is nearly unstable, such as a raised arm, drifts away in the long run with any model.
         """
         later = self.horizons[1:] or self.horizons
-        worse = sum(h.after**2 > LEAST_FALL * h.before**2 for h in later)
-        return 2 * worse > len(later)
+        return 2 * sum(h.worse for h in later) > len(later)
 
     @property
     def refitted(self) -> bool:

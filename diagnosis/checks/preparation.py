@@ -315,9 +315,8 @@ def prepare_model(
     usual = asked = dataset.segments.seconds
     servo, values = base_servo_of(model, dataset)
     base = fit_from_several_starts(dataset, servo, values)
-    slides = sliding_fit(dataset, servo, values)
-    least = usual if slides and slides.disturbance > LARGE_DISTURBANCE else SHORTEST_SHARE * usual
-    while has_diverged(dataset, base.fit) and asked / 2 >= least:
+    shorten = has_diverged(dataset, base.fit) and not _lacks_much(dataset, servo, values)
+    while shorten and has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
         asked /= 2
         shorter = dataset_of(model, records, asked)
         if shorter.segments.seconds < dataset.segments.seconds:
@@ -328,6 +327,12 @@ def prepare_model(
     seconds = dataset.segments.seconds
     said = finding(Reason.SHORTER_SEGMENTS, usual=usual, seconds=seconds)
     return dataset, base, [said] if seconds < usual else []
+
+
+def _lacks_much(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> bool:
+    """Return whether the sliding motion needs a large disturbance."""
+    slides = sliding_fit(dataset, servo, values)
+    return slides is not None and slides.disturbance > LARGE_DISTURBANCE
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:

@@ -45,7 +45,7 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
     # impacts within a play come at other times in any longer simulation
     impacts, sparse = (any(e.free_play for e in effects), any(e.sparse for e in effects))
     if LEAST_FALL * answer.gap.after > answer.gap.before and not (impacts or sparse):
-        yield finding(Reason.DOUBT_ERROR)
+        yield finding(Reason.DOUBT_ERROR, factor=LEAST_FALL)
     if answer.whole is not None and answer.whole.worse_throughout and not impacts:
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.flag and answer.remains.share >= LARGE_REST:
@@ -57,7 +57,7 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
 def _doubts_of_sizes(answer: Diagnosis) -> Iterator[Finding]:
     """Give the reasons that lie in the values of parameters."""
     if unknown := tuple(e.name for e in answer.effects if not e.known_within(DOUBTED_SHARE)):
-        yield finding(Reason.DOUBT_STRENGTH, effects=unknown)
+        yield finding(Reason.DOUBT_STRENGTH, effects=unknown, factor=1 / (1 - DOUBTED_SHARE))
     # friction of which the records show none may end at 0
     if stuck := tuple(k for k, e in answer.parameters.items() if e.at_bound and e.value):
         yield finding(Reason.DOUBT_BOUND, parameters=stuck)

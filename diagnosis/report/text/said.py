@@ -135,9 +135,9 @@ SENTENCES: dict[Reason, str] = {
     R.NOTHING_TO_ADD: "no effect can be added to this model",
     R.OUT_OF_BUDGET: "the time budget was used up",
     # doubts
-    R.DOUBT_STRENGTH: "the strength of {effects} is not known to within a factor of 4",
+    R.DOUBT_STRENGTH: "the strength of {effects} is not known to within a factor of {factor:g}",
     R.DOUBT_BOUND: "{parameters} ends at a limit of what it can be",
-    R.DOUBT_ERROR: "the error on held-out segments does not fall by a factor of 1.2",
+    R.DOUBT_ERROR: "the error on held-out segments does not fall by a factor of {factor:g}",
     R.DOUBT_WHOLE: "over longer times the model is worse than without",
     R.DOUBT_SIZE: "{parameters} is larger than hardware has",
     R.DOUBT_CANCELLING: "the torques of {effects} cancel each other in these records",
