@@ -24,8 +24,7 @@ STATE_SMOOTHING = 0.02
 REST_STEPS = 3.0  # steps of the sensor within the smoothing window: a slower speed counts as rest
 LEAST_NOISE_SEGMENTS = 10  # segments: fewest in motion from which the noise is estimated
 HELD_OUT_EVERY = 4  # segments: one of so many is held out from the search
-WIDE_LANES, NARROW_LANES = 8, 2  # lanes; the same on every processor, so that answers are
-WIDE_COST = 3.0  # time of a step of the wide lanes, over that of the narrow ones
+LANES = 4  # records or parts of them at a time; the same on every processor, so that answers are
 
 
 @dataclass(frozen=True)
@@ -172,16 +171,14 @@ def chains_of(segments: Segments) -> list[Chains]:
     position is the sum of all before.
     """
     counts = [len(piece.measured) for piece in segments.pieces]
-    groups, whole = math.ceil(len(counts) / WIDE_LANES), max(counts)
+    groups, whole = math.ceil(len(counts) / LANES), max(counts)
     lengths = [whole] if segments.velocity else range(1, whole + 1)
     longest = next(
-        n for n in lengths if sum(math.ceil(count / n) for count in counts) <= WIDE_LANES * groups
+        n for n in lengths if sum(math.ceil(count / n) for count in counts) <= LANES * groups
     )
-    steps = groups * (longest + (longest < whole))
-    wide = WIDE_COST * steps < math.ceil(len(counts) / NARROW_LANES) * whole
-    parts = list(_parts(segments, longest if wide else whole))
-    width = WIDE_LANES if wide else NARROW_LANES
-    return [_together(parts[k : k + width], width) for k in range(0, len(parts), width)]
+    # a part begins one segment early
+    parts = list(_parts(segments, longest if longest + 1 < whole else whole))
+    return [_together(parts[k : k + LANES]) for k in range(0, len(parts), LANES)]
 
 
 def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, int]]:
@@ -201,9 +198,9 @@ def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, 
             )
 
 
-def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chains:
+def _together(parts: Sequence[tuple[float, int, int, int]]) -> Chains:
     """Return parts as one group; lanes without any have no segment."""
-    filled = [*parts, *[(0.0, 0, 0, 0)] * (width - len(parts))]
+    filled = [*parts, *[(0.0, 0, 0, 0)] * (LANES - len(parts))]
     times, *places = (np.array(column) for column in zip(*filled, strict=True))
     return Chains(times.astype(float), *(place.astype(np.longlong) for place in places))
 

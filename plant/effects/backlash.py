@@ -116,7 +116,7 @@ EFFECT = Effect(
             "nordin2002",
         ),
     ),
-    shape_starts=({"exponent": 1.5}, {"exponent": 2.0}),
+    shape_starts=({"exponent": 1.5},),
     coupling=coupling,
     without_truth=OVER_INERTIA,
     search_interval={"share": (0.02, 0.9), "dissipation": (1e-3, 1e3)},

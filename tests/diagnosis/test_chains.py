@@ -10,8 +10,7 @@ import pytest
 
 from bristle.diagnosis.estimation import dataset, simulator
 from bristle.diagnosis.estimation.dataset import (
-    NARROW_LANES,
-    WIDE_LANES,
+    LANES,
     Grid,
     Segments,
     chains_of,
@@ -63,7 +62,7 @@ def servo(segments: Segments, effects: tuple[str, ...] = ("disturbance_step",)) 
 def test_each_segment_is_simulated_once_after_the_one_before_it(counts):
     segments = records(*counts)
     groups = chains_of(segments)
-    assert {len(group.first) for group in groups} <= {NARROW_LANES, WIDE_LANES}
+    assert {len(group.first) for group in groups} == {LANES}
     written = np.concatenate(
         [np.arange(b, e) for g in groups for b, e in zip(g.begin, g.end, strict=True)]
     )
@@ -84,20 +83,18 @@ def test_each_segment_is_simulated_once_after_the_one_before_it(counts):
 
 
 def test_long_records_are_cut_and_short_ones_are_not():
-    """Two records of 50 segments take 14 steps of eight lanes instead of 50 of two; two of two
-    segments gain nothing.
-    """
+    """Two records of 50 segments take 26 steps instead of 50; two of two segments gain nothing."""
     [cut_up] = chains_of(records(50, 50))
-    assert max(cut_up.end - cut_up.first) == 14
+    assert max(cut_up.end - cut_up.first) == 26
     [whole] = chains_of(records(2, 2))
-    assert len(whole.first) == NARROW_LANES
+    assert np.count_nonzero(whole.end) == 2
 
 
 def test_records_of_a_velocity_stay_whole():
     """A position friction would else begin anew at another place in each part."""
     segments = replace(records(50, 50), velocity=True)
     [whole] = chains_of(segments)
-    assert (whole.first.tolist(), whole.end.tolist()) == ([0, 50], [50, 100])
+    assert (whole.first.tolist(), whole.end.tolist()) == ([0, 50, 0, 0], [50, 100, 0, 0])
 
 
 @pytest.mark.slow
@@ -110,9 +107,9 @@ def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch
     values = VALUES | ({"input_delay.delay": 0.006} if "input_delay" in effects else {})
     starts = segments.initial + np.array([0.0, 0.5])
     parts = servo(segments, effects).run(values, starts, jacobian=True)
-    monkeypatch.setattr(dataset, "WIDE_COST", 1e9)
+    monkeypatch.setattr(dataset, "LANES", 2)
+    assert [g.end.tolist() for g in chains_of(segments)] == [[24, 33]]
     whole = servo(segments, effects).run(values, starts, jacobian=True)
-    assert [len(g.first) for g in chains_of(segments)] == [NARROW_LANES]
     assert whole[2].all()
     for found, expected in zip(parts, whole, strict=True):
         assert found is not None
@@ -142,7 +139,7 @@ def test_one_step_more_in_one_lane_does_not_touch_the_others():
 
 
 def test_records_of_one_segment_with_one_average_can_be_simulated():
-    """The shortest there is: two lanes, one of them empty."""
+    """The shortest there is: all lanes but one are empty."""
     piece = records(1).pieces[0]
     one = Segments(H, len(piece.u), 1, False, (replace(piece, measured=np.zeros((1, 1))),))
     seen, _, good, _ = servo(one).run(VALUES, piece.initial)
