@@ -642,7 +642,8 @@ class RecordAgreement:
 @dataclass(frozen=True)
 class DesignedInput:
     """The input of a record that would tell rivals apart; where none does, `time` and `u` are empty
-    and `gain` is the best.
+    and `gain` is the best. Where the records were made in a position loop, it is a reference for
+    that loop.
 
     `gain` is by how much the records are expected to decide between the two rivals that are hardest
     to tell apart [nats].
@@ -662,6 +663,7 @@ class DesignedInput:
     columns: tuple[str, str]  # of the file: time [s] and input [unit]
     time: Array
     u: Array
+    loop: float | None = None  # Hz, about: of the loop that follows it; None in open loop
 
     @property
     def written(self) -> bool:

@@ -202,7 +202,8 @@ def lanes_sources(program: Program) -> dict[str, str]:
     body = [f"/* {program.name}: the equations, in lanes (generated) */", '#include "lanes.h"', ""]
     body += [emit_lanes(kept[name]) for name in WIDE_KERNELS if name in kept]
     body += [tables, f"const Wide WIDE =\n{entry};\n"]
-    segments = ["segments.c"] if program.observed and program.sensitivities else []
+    fitted = program.observed and program.sensitivities
+    segments = ["segments.c", "follow.c"] if fitted else []
     return {
         "model.h": _header(program),
         "model.c": "\n".join(body),

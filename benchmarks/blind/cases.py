@@ -351,6 +351,7 @@ def _answer(
             "typical": found.gap.typical,
         },
         "base": scene.base,
+        "loop": scene.loop,
         "fields": {key: value for key, value in found.fields.items() if value != 0},
     }
 

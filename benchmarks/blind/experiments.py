@@ -4,10 +4,10 @@ experiment played on the true servo.
     python benchmarks/blind/run.py generate --seed experiment --scale 0.1 --only poor --out DIR
     python benchmarks/blind/experiments.py --out DIR [--jobs 2] [--style sine] [--publish]
 
-Each case is diagnosed; the input of its experiment.csv is played back in open loop on the servo
-that gave the records, with its hidden effect, a disturbance of the same size and its encoder; the
-records and the new one are diagnosed together. An interrupted run continues with the cases that are
-missing. `--publish` writes benchmarks/results/experiments.md.
+Each case is diagnosed; its experiment.csv is followed by the loop that gave the records or, if it
+is an input, played back in open loop, on the servo with its hidden effect, a disturbance of the
+same size and its encoder; the records and the new one are diagnosed together. An interrupted run
+continues with the cases that are missing. `--publish` writes benchmarks/results/experiments.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from run import ROOT, go_on
 from scene import NOISE
 from score import Judged
 from shared import write_json
-from truth import base_friction, disturbance, library, play
+from truth import PERIOD, base_friction, disturbance, library, play, run
 
 from bristle.common.arguments import filled_path
 
@@ -48,9 +48,16 @@ def try_one(folder: Path, answer: Path, target: Path) -> None:
         plant = {**base, **base_friction(base["J"], base["Fc"]), **truth["fields"]}
         rng = np.random.default_rng(truth["case"])
         noise = disturbance(rng, given.u.size + 1, NOISE * base["Fc"])
-        theta = play(plant, SESSION_TIME, given.u, noise, given.start)
+        if given.loop is None:
+            u, theta = given.u, play(plant, SESSION_TIME, given.u, noise, given.start)
+        else:
+            v = np.gradient(given.u, PERIOD)
+            reference = np.column_stack([given.u, v, np.gradient(v, PERIOD)])
+            followed = run(plant, truth["loop"], SESSION_TIME, reference, noise)
+            u, theta = followed.u, followed.theta
         new = target.with_suffix(".npz")
-        np.savez_compressed(new, t=SESSION_TIME + given.time, u=given.u, theta=theta)
+        np.savez_compressed(new, t=SESSION_TIME + given.time, u=u, theta=theta)
+        kept["loop"] = given.loop
         moved = np.concatenate([np.load(f)["theta"] for f in files])
         kept["over_range"] = float(
             max(moved.min() - theta.min(), theta.max() - moved.max(), 0.0) / np.ptp(moved)

@@ -37,7 +37,7 @@ from bristle.diagnosis.estimation.dataset import (
     Segments,
 )
 from bristle.diagnosis.estimation.fitted_model import FittedModel
-from bristle.diagnosis.experiment.discrimination import disturbed
+from bristle.diagnosis.experiment.discrimination import disturbance
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE, REFIT_FACTOR
 from bristle.diagnosis.selection.start_values import SearchOptions
@@ -63,7 +63,7 @@ def replicate(
     grid = fit.simulator.segments
     for record, piece in zip(records, grid.pieces, strict=True):
         u, noise = np.asarray(record.u), fit.noise
-        torque = disturbed(u, noise, fit.values["b"], record.h, rng)
+        torque = u + disturbance(len(u), noise, fit.values["b"], record.h, rng)
         none, start, unsure = np.zeros((1, len(u))), piece.initial[:1], np.ones((1, 2))
         whole = Piece(
             record.name, float(record.time[0]), torque, none, start, unsure, piece.seconds

@@ -13,11 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import (
-    Chains,
-    Segments,
-    chains_of,
-)
+from bristle.diagnosis.estimation.dataset import LANES, Chains, Segments, chains_of
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import NO_LIMIT
 from bristle.model.lanes import Lanes
@@ -245,6 +241,44 @@ class Simulator:
         if self.play:
             self._scale_by_play(values, starts, sens)
         return simulated, sens, good.astype(bool), starts
+
+    def follow(
+        self,
+        values: Mapping[str, float],
+        reference: Array,
+        disturbance: Array,
+        loop: tuple[float, float, float, float],
+    ) -> tuple[Array, Array, Mask]:
+        """Follow a reference from the start of the only segment, in a position loop.
+
+        `reference` (n, 2): position and its rate. `disturbance` (n, LANES): in the unit of the
+        input, one a lane. `loop`: input by error and by its rate, and least and largest input.
+
+        Returns output and input (n, LANES) at each sample, and which lanes came to the end.
+        """
+        lanes, n, h = self._lanes, len(reference), self.segments.h
+        [chains] = self._chains
+        lanes.begin(self._table(chains, values, self.segments.initial))
+        index = lanes.program.index
+        places = np.array([index[x] for x in ("u", "theta", "v")] + [self._observed], np.int32)
+        gains, ends = np.array(loop[:2]), np.array(loop[2:])
+        seen, driven = np.zeros((n, LANES)), np.zeros((n, LANES))
+        good = np.zeros(LANES, dtype=np.uint8)
+        lanes.library.lanes_follow(
+            ctypes.c_void_p(lanes.address),
+            ctypes.c_longlong(n),
+            ctypes.c_double(h),
+            ctypes.c_double(self.segments.times[0]),
+            pointer(places),
+            pointer(gains),
+            pointer(ends),
+            pointer(np.ascontiguousarray(reference)),
+            pointer(np.ascontiguousarray(disturbance)),
+            pointer(seen),
+            pointer(driven),
+            pointer(good),
+        )
+        return seen, driven, good.astype(bool)
 
     def _table(self, chains: Chains, values: Mapping[str, float], starts: Array) -> Array:
         """Return the variables (variables, lanes) with which chains begin."""

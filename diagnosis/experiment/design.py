@@ -1,9 +1,11 @@
-"""Choose the input of a further record to tell apart effects that these records do not."""
+"""Choose the input of a further record, or the reference of its loop, to tell apart effects that
+these records do not.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -13,14 +15,16 @@ from bristle.common.metrics import rms
 from bristle.common.table import Array, factor_to
 from bristle.diagnosis.answer import DesignedInput, Diagnosis, Finding
 from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.estimation.fitted_model import TIE_NATS
-from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS, sliding_fit
+from bristle.diagnosis.experiment.discrimination import Response, Rival, Setup, lead
 from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
+from bristle.diagnosis.experiment.loop import Loop, loop_of
+from bristle.diagnosis.experiment.references import references
 from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.records.headings import without_unit
-from bristle.records.layout import Layout
+from bristle.records.layout import Column, Layout
 
 EXPERIMENT_SECONDS = 20.0  # s: length of the record
 MOST_RIVALS = 4  # models that an input is to tell apart at most
@@ -28,6 +32,8 @@ MOST_RIVALS = 4  # models that an input is to tell apart at most
 CLOSEST = 2
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
 DISTURBANCES = 2  # disturbances under which each model is to keep it
+PEAK_QUANTILE = 0.99  # of the accelerations of the records: what noise does not reach
+REFERENCE = "reference"  # column of the file where a loop follows it
 OWN_DRAWS = 3  # of the parameters of each model, which tell how far a model leads itself
 
 
@@ -46,75 +52,71 @@ class _Design:
         apart = [(a, b) for a, b in pairs if _class_of(a) != _class_of(b)]
         return apart or pairs
 
-    def outputs(self, u: Array) -> list[Array] | None:
-        """Return the outputs of the rivals; None if an input or motion leaves one's limits."""
-        if not self.limits.allow_input(u):
-            return None
-        outputs = []
+    def responses(self, given: Array) -> list[Response] | None:
+        """Return the responses of the rivals; None if an input or motion leaves its limits."""
+        found = []
         for rival in self.rivals:
-            y = self._kept(rival, u)
-            rng = np.random.default_rng(0)
-            fit, h = rival.fit, self.setup.grid.h
-            shaken = [disturbed(u, fit.noise, fit.values["b"], h, rng) for _ in range(DISTURBANCES)]
-            if y is None or any(self._kept(rival, each) is None for each in shaken):
+            seen = rival.response(given, self.setup)
+            if seen is None or not self.limits.allow_input(seen.u) or not self._kept([seen]):
                 return None
-            outputs.append(y)
-        return outputs
+            shaken = rival.disturbed(given, self.setup, DISTURBANCES)
+            if shaken is None or not self._kept(shaken):
+                return None
+            found.append(seen)
+        return found
 
-    def _kept(self, rival: Rival, u: Array) -> Array | None:
-        """Return the output of a rival if its motion keeps to the limits."""
-        y = rival.output(u, self.setup)
-        return (
-            y
-            if y is not None and self.limits.allow_motion(self.setup.positions(y), MARGIN)
-            else None
+    def _kept(self, responses: Sequence[Response]) -> bool:
+        """True if the motion of all keeps to the limits."""
+        return all(
+            self.limits.allow_motion(self.setup.positions(each.y), MARGIN) for each in responses
         )
 
     def follow(self, at: float, u: Array) -> float:
         """Return where the last rival is after an input (n,) that begins at rest at a position."""
-        setup = replace(self.setup, start=at)
-        y = self.rivals[-1].output(u, setup)
-        return at if y is None else float(setup.positions(y)[-1])
+        seen = self.rivals[-1].response(u, replace(self.setup, start=at))
+        return at if seen is None else float(self.setup.positions(seen.y)[-1])
 
     def tried(self, given: Input) -> _Trial | None:
         """Return the first scale of an input that keeps to the limits, and its gain, or None."""
-        for u in given.scaled:
-            outputs = self.outputs(u)
-            if outputs is not None:
-                of = dict(zip((rival.name for rival in self.rivals), outputs, strict=True))
-                gain = min(lead(of[a.name], u, b, self.setup) for a, b in self.pairs)
-                return _Trial(given.motion, u, tuple(outputs), max(gain - self.own_lead(u), 0.0))
+        for one in given.scaled:
+            responses = self.responses(one)
+            if responses is not None:
+                of = dict(zip((rival.name for rival in self.rivals), responses, strict=True))
+                gain = min(lead(of[a.name], b, self.setup) for a, b in self.pairs)
+                gain = max(gain - self.own_lead(one), 0.0)
+                return _Trial(given.motion, one, tuple(responses), gain)
         return None
 
-    def own_lead(self, u: Array) -> float:
+    def own_lead(self, given: Array) -> float:
         """Return by how much a rival leads itself with other values that the records allow: what no
         difference of models is.
         """
         rng = np.random.default_rng(0)
         others = [
-            (rival, rival.output(u, self.setup, rival.drawn(rng)))
+            (rival, rival.response(given, self.setup, rival.drawn(rng)))
             for rival in self.rivals
             for _ in range(OWN_DRAWS)
         ]
         return max(
-            (lead(y, u, rival, self.setup) for rival, y in others if y is not None), default=0.0
+            (lead(seen, rival, self.setup) for rival, seen in others if seen is not None),
+            default=0.0,
         )
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """An input with the outputs of the rivals and its gain [nats]."""
+    """An input or a reference with the responses of the rivals and its gain [nats]."""
 
     motion: Finding
-    u: Array
-    outputs: tuple[Array, ...]
+    given: Array
+    responses: tuple[Response, ...]
     gain: float
 
     def allows_a_name(self, case: SearchedCase) -> bool:
         """True if it decides, and a name may follow from all records then."""
-        some, h = case.records[0], case.dataset.segments.h
-        time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
-        record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
+        some, h, seen = case.records[0], case.dataset.segments.h, self.responses[0]
+        time = np.asarray(h * np.arange(len(seen.u)), dtype=np.float64)
+        record = replace(some, time=time, u=seen.u, y=seen.y, velocity=None)
         return self.gain > TIE_NATS and not excitation(case.model, [*case.records, record]).uniform
 
 
@@ -146,17 +148,28 @@ def design(case: SearchedCase, answer: Diagnosis, options: SearchOptions) -> Des
     )
     start = 0.0 if s.velocity else usual.middle
     ends = max(piece.time + s.h * len(piece.u) for piece in s.pieces)
-    plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
+    loop = _loop(case)
+    plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends, loop, usual.u))
     # the best of all inputs that keep to it, if possible one after which a name may follow
-    choice = inputs(
-        _axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow
-    )
+    if loop is None:
+        recorded, axis = [piece.u for piece in s.pieces], _axis(rivals[0], m.u)
+        choice = inputs(axis, usual, recorded, (n, s.h), plan.follow)
+    else:
+        motions = [m.theta[m.record == k] for k in range(len(s.pieces))]
+        peaks = float(np.abs(m.v).max()), float(np.quantile(np.abs(m.a), PEAK_QUANTILE))
+        choice = references(usual, motions, peaks, (n, s.h))
     trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
     ordered = sorted(trials, key=lambda trial: -trial.gain)
     best = next(
         (trial for trial in ordered if trial.allows_a_name(case)), ordered[0] if ordered else None
     )
     return _described(plan, case, best)
+
+
+def _loop(case: SearchedCase) -> Loop | None:
+    """Return the position loop that the records were made in, if they show one."""
+    slides = sliding_fit(case.dataset, case.base.servo, case.base.fit.values)
+    return None if slides is None else loop_of(slides)
 
 
 def _axis(rival: Rival, u: Array) -> Axis:
@@ -197,13 +210,14 @@ def _deciding_round(case: SearchedCase, answer: Diagnosis) -> TrialRound:
 
 def _described(plan: _Design, case: SearchedCase, best: _Trial | None) -> DesignedInput:
     """Return what is reported of the best input, if there is one."""
-    column = case.model.input
-    factor = factor_to(column.unit, column.scale, case.model.input_unit)
+    column, own_unit = _column(case.model, plan.setup.loop)
+    factor = factor_to(column.unit, column.scale, own_unit)
     gain = 0.0 if best is None else best.gain
     told = best is not None and gain > TIE_NATS
-    u = best.u / factor if told and best is not None else np.empty(0)
+    u = best.given / factor if told and best is not None else np.empty(0)
     time = np.asarray(plan.setup.grid.h * np.arange(len(u)), dtype=np.float64)
-    theta = np.concatenate([plan.setup.positions(y) for y in best.outputs]) if best else np.zeros(1)
+    moved = [plan.setup.positions(each.y) for each in best.responses] if best else [np.zeros(1)]
+    theta = np.concatenate(moved)
     ends = (float(u.min()), float(u.max()), rms(u)) if told else (math.nan, math.nan, math.nan)
     return DesignedInput(
         tuple(rival.name for rival in plan.rivals),
@@ -214,15 +228,20 @@ def _described(plan: _Design, case: SearchedCase, best: _Trial | None) -> Design
         *ends,
         plan.setup.start,
         (float(theta.min()), float(theta.max())),
-        _headings(case.model),
+        _headings(case.model, plan.setup.loop),
         time,
         u,
+        None if plan.setup.loop is None else plan.setup.loop.frequency,
     )
 
 
-def _headings(model: Layout) -> tuple[str, str]:
-    """Return the columns of the file: as the records name them, with units."""
-    return (
-        f"{without_unit(model.time.column)} [s]",
-        f"{without_unit(model.input.column)} [{model.input.unit}]",
-    )
+def _column(model: Layout, loop: Loop | None) -> tuple[Column, str]:
+    """Return the column of the records that the file goes with, and its unit in SI."""
+    return (model.input, model.input_unit) if loop is None else (model.output, model.output_unit)
+
+
+def _headings(model: Layout, loop: Loop | None = None) -> tuple[str, str]:
+    """Return the columns of the file, with units: as the records name them, or a reference."""
+    column, _ = _column(model, loop)
+    name = without_unit(column.column) if loop is None else REFERENCE
+    return f"{without_unit(model.time.column)} [s]", f"{name} [{column.unit}]"

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import (
+    LANES,
     Grid,
     Piece,
     Segments,
@@ -25,20 +26,42 @@ from bristle.diagnosis.estimation.likelihood import (
     moved,
 )
 from bristle.diagnosis.estimation.noise import Noise
+from bristle.diagnosis.estimation.simulator import Simulator
+from bristle.diagnosis.experiment.loop import Loop
 
 KNOWN_SHARE = 1e-12  # of the largest curvature: least of a direction in which parameters are drawn
 
 
 @dataclass(frozen=True)
+class Response:
+    """What a record of an experiment would hold: input and output (n,)."""
+
+    u: Array
+    y: Array
+
+
+@dataclass(frozen=True)
 class Setup:
     """How an experiment is recorded: like the records of a dataset, from rest at `start` (SI) at
-    `time` [s].
+    `time` [s]; in a `loop` that follows a reference, or in open loop.
     """
 
     grid: Grid
     resolution: float
     start: float
     time: float
+    loop: Loop | None = None
+    input_ends: tuple[float, float] = (-np.inf, np.inf)  # of a loop: what it may drive with
+
+    @property
+    def initial(self) -> Array:
+        """Position and velocity at the beginning (1, 2)."""
+        return np.array([[self.start, 0.0]])
+
+    def drive(self, values: Mapping[str, float]) -> tuple[float, float, float, float]:
+        """Return the input of the loop by error and by its rate, and its ends."""
+        assert self.loop is not None
+        return (*self.loop.gains(values["J"], values["b"]), *self.input_ends)
 
     def positions(self, y: Array) -> Array:
         """Return the positions that belong to an output (n,)."""
@@ -61,28 +84,65 @@ class Rival:
         step = axes[:, told] @ (rng.standard_normal(np.count_nonzero(told)) / np.sqrt(known[told]))
         return moved(self.fit.free, self.fit.values, step)
 
-    def output(
-        self, u: Array, setup: Setup, values: Mapping[str, float] | None = None
-    ) -> Array | None:
-        """Return its output (n,) under an input (n,) from rest, with its own values or others; None
-        if the simulation fails.
+    def response(
+        self, given: Array, setup: Setup, values: Mapping[str, float] | None = None
+    ) -> Response | None:
+        """Return its response to an input or, in a loop, to a reference (n,) from rest, with its
+        own values or others; None if the simulation fails.
         """
-        start, seconds = np.array([[setup.start, 0.0]]), setup.grid.h * len(u)
+        values = self.fit.values if values is None else values
+        found = self._responses(given, setup, values, np.zeros((len(given), 1)))
+        return found[0] if found else None
+
+    def disturbed(self, given: Array, setup: Setup, draws: int) -> list[Response] | None:
+        """Return the same under so many disturbances as large as that of the records."""
+        rng, gain = np.random.default_rng(0), self.fit.values["b"]
+        shaken = [
+            disturbance(len(given), self.fit.noise, gain, setup.grid.h, rng) for _ in range(draws)
+        ]
+        return self._responses(given, setup, self.fit.values, np.column_stack(shaken))
+
+    def _responses(
+        self, given: Array, setup: Setup, values: Mapping[str, float], added: Array
+    ) -> list[Response] | None:
+        """Return the responses with what is added (n, k) to the input; None if one fails."""
+        simulator = self._simulator(given, setup)
+        if setup.loop is None:
+            outputs = [
+                self._simulator(given + each, setup).run(values, setup.initial) for each in added.T
+            ]
+            seen = [Response(given, y[0]) for y, _, good, _ in outputs if good[0]]
+        else:
+            width = LANES - added.shape[1]
+            filled = np.column_stack([added, *[added[:, 0]] * width])
+            pairs = np.column_stack([given, np.gradient(given, setup.grid.h)])
+            y, u, good = simulator.follow(values, pairs, filled, setup.drive(values))
+            seen = [
+                Response(u[:, k], y[:, k])
+                for k, alive in enumerate(good[: added.shape[1]])
+                if alive
+            ]
+        usable = len(seen) == added.shape[1] and all(np.isfinite(r.y).all() for r in seen)
+        return seen if usable else None
+
+    def _simulator(self, u: Array, setup: Setup) -> Simulator:
         blank = Piece(
-            "experiment", setup.time, u, np.zeros((1, len(u))), start, np.ones((1, 2)), seconds
+            "experiment",
+            setup.time,
+            u,
+            np.zeros((1, len(u))),
+            setup.initial,
+            np.ones((1, 2)),
+            setup.grid.h * len(u),
         )
-        simulator = self.fit.simulator.over(
+        return self.fit.simulator.over(
             Segments(setup.grid.h, 1, len(u), setup.grid.velocity, (blank,))
         )
-        simulated, _, good, _ = simulator.run(
-            self.fit.values if values is None else values, blank.initial
-        )
-        return simulated[0] if good[0] and np.isfinite(simulated).all() else None
 
 
-def lead(truth: Array, u: Array, rival: Rival, setup: Setup) -> float:
-    """Return by how many nats a rival is expected to fall behind the model whose output (n,) under
-    an input is `truth`.
+def lead(truth: Response, rival: Rival, setup: Setup) -> float:
+    """Return by how many nats a rival is expected to fall behind the model whose response is
+    `truth`.
 
     Half the squared whitened difference of the outputs that is left when the rival has moved its
     parameters, as far as the records allow, and the initial states of segments; as a segment counts
@@ -91,7 +151,7 @@ def lead(truth: Array, u: Array, rival: Rival, setup: Setup) -> float:
     Source: box1967 (discrimination between models by the expected ratio of their likelihoods).
     """
     g = setup.grid
-    piece = cut("experiment", setup.time, u, truth, g, setup.resolution)
+    piece = cut("experiment", setup.time, truth.u, truth.y, g, setup.resolution)
     segments = Segments(g.h, g.width, g.bins, g.velocity, (piece,))
     problem = Problem.of(segments, rival.fit.noise, segments.counted)
     seen = evaluate(
@@ -113,8 +173,8 @@ def lead(truth: Array, u: Array, rival: Rival, setup: Setup) -> float:
     )
 
 
-def disturbed(u: Array, noise: Noise, gain: float, h: float, rng: np.random.Generator) -> Array:
-    """Return an input (n,) with a fit's disturbance torque on top, `gain` in torque over input."""
+def disturbance(n: int, noise: Noise, gain: float, h: float, rng: np.random.Generator) -> Array:
+    """Return a fit's disturbance torque (n,) in units of the input, `gain` being torque over it."""
     keep = np.exp(-2 * np.pi * noise.corner * h)
-    white = noise.torque * np.sqrt(1 - keep**2) * rng.standard_normal(len(u))
-    return np.asarray(u + lfilter([1.0], [1.0, -keep], white) / gain)
+    white = noise.torque * np.sqrt(1 - keep**2) * rng.standard_normal(n)
+    return np.asarray(lfilter([1.0], [1.0, -keep], white) / gain)

@@ -229,6 +229,8 @@ def _designed(designed: DesignedInput) -> dict[str, Any]:
     }
     return {
         **known,
+        "kind": "input" if designed.loop is None else "reference",
+        "loop_frequency": designed.loop,
         "motion": said(designed.motion) if designed.motion else "",
         "seconds": float(designed.time[-1] - designed.time[0]),
         **ends,

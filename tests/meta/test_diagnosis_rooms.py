@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "selection": {"answer", *FITS, "checks", "estimation", "localisation"},
     "stages": {*GROUND, *FITS, "checks", "estimation", "localisation", "selection"},
     # side by side: none imports another
-    "experiment": {"answer", "checks", "estimation", "selection", "stages"},
+    "experiment": {"answer", "checks", "sliding", "estimation", "selection", "stages"},
     "validation": {*GROUND, *FITS, "estimation", "stages"},
     "init": {*GROUND, "checks"},
     "fmu": {*GROUND, *FITS, "checks", "estimation"},

@@ -26,14 +26,23 @@ def designed_line(designed: DesignedInput | None, model: Model) -> str:
         )
     motion = said(designed.motion) if designed.motion else ""
     unit = "" if designed.unit == "1" else f" {designed.unit}"
+    ends = f"{designed.time[-1]:.3g} s, from {designed.low:.3g} to {designed.high:.3g}{unit}"
+    told = (
+        f"It is expected to tell apart {names} by {designed.gain:.3g} nats or more ({NATS}). Then"
+        " diagnose the new record together with these."
+    )
+    if designed.loop is not None:
+        return (
+            f"{EXPERIMENT_FILE} is a position reference for the loop as it is (here: about"
+            f" {designed.loop:.2g} Hz): {motion}, {ends}. Input and position are expected to stay"
+            f" within those of these records. Record input and position as before. {told}"
+        )
     place = "m" if model.linear else "rad"
     begin = (
         "" if model.output_kind == "velocity" else f", from rest at {designed.start:.4g} {place}"
     )
     return (
         f"{EXPERIMENT_FILE} is such an input, to be played back in open loop{begin}: {motion},"
-        f" {designed.time[-1]:.3g} s, from {designed.low:.3g} to {designed.high:.3g}{unit},"
-        f" {designed.rms:.3g}{unit} rms, within the input and position of these records. It is"
-        f" expected to tell apart {names} by {designed.gain:.3g} nats or more ({NATS}). Then"
-        " diagnose the new record together with these."
+        f" {ends}, {designed.rms:.3g}{unit} rms, within the input and position of these records."
+        f" {told}"
     )
