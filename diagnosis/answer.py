@@ -153,6 +153,7 @@ class Reason(StrEnum):
     # a proposed model file
     SEVERAL_COLUMNS = "several_columns"
     UNEXPLAINED_INPUT = "unexplained_input"
+    POSITION_INPUT = "position_input"
     SIGN_TURNED = "sign_turned"
     NEVER_NEGATIVE = "never_negative"
     GUESSED_INERTIA = "guessed_inertia"

@@ -21,7 +21,8 @@ from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
 from bristle.diagnosis.experiment.loop import Loop, loop_of
 from bristle.diagnosis.experiment.references import references
 from bristle.diagnosis.selection.criterion import TrialRound, group
-from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
+from bristle.diagnosis.selection.start_values import SearchOptions
+from bristle.diagnosis.sliding.screen import dry_friction
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.records.headings import without_unit
 from bristle.records.layout import Column, Layout

@@ -19,6 +19,7 @@ from bristle.common.units import interval
 from bristle.diagnosis.answer import Finding, Line, Proposal, Reason, Rough, finding
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import CLEARER_RATIO
+from bristle.diagnosis.checks.preparation import dataset_of
 from bristle.diagnosis.checks.records import NEEDS
 from bristle.diagnosis.checks.torque_regression import (
     Regression,
@@ -27,7 +28,11 @@ from bristle.diagnosis.checks.torque_regression import (
     regress,
     regression_rows,
 )
-from bristle.diagnosis.modelfile import Model, own_unit
+from bristle.diagnosis.free_parameter import Free
+from bristle.diagnosis.modelfile import NO_LIMIT, Model, own_unit
+from bristle.diagnosis.sliding.fit import SlidingModel, fit_sliding
+from bristle.diagnosis.sliding.screen import with_gross_effects
+from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, candidates, fitted
 from bristle.records.differences import are_differences
@@ -38,6 +43,8 @@ from bristle.records.record import Record
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
 BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
+# torques that position or nothing gives, and that can be most of the input
+POSITION_TORQUES = ("bias", "gravity", "return_spring")
 FRICTION_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
 DIGITS = 3  # of a rough parameter
 # factor by which another pair must explain more than the one that the names propose
@@ -206,8 +213,18 @@ def _best(
             which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
             doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
     if best.best < LEAST_SHARE:
-        doubts.append(finding(Reason.UNEXPLAINED_INPUT, explained=best.best))
+        doubts.append(_unexplained(best))
     return best, doubts
+
+
+def _unexplained(best: _Reading) -> Finding:
+    """Return a doubt about a pair of which inertia and friction explain little: what a torque that
+    follows the position would explain is another matter.
+    """
+    beside = explained_share(best.rows)[0]
+    if beside < LEAST_SHARE:
+        return finding(Reason.UNEXPLAINED_INPUT, explained=best.best)
+    return finding(Reason.POSITION_INPUT, explained=best.best, beside=beside)
 
 
 def _readings(
@@ -321,6 +338,7 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
             " slow motion"
         )
     regression: Regression = regress(reading.rows)
+    slid = _slid(reading, regression)
     torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
     scale = regression.rows.scale  # rms of acceleration, speed and direction
     # what is not known takes the value of a regression that allows no negative ones
@@ -328,21 +346,23 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     known = regression.known(KNOWN_ERRORS)
     rough, doubts = {}, []
     for k, name in enumerate(("J", "a2", "Fc")):
-        value = regression.value[k] if known[k] else positive[k]
+        value, error = regression.value[k] if known[k] else positive[k], regression.error[k]
+        if name in slid:
+            value, error, known[k] = *slid[name], True
         most = FRICTION_SHARE * torque / float(scale[k])
         # an inertia that is not shown is a guess with wide bounds
         if name == "J" and not (known[k] and value > 0.0):
-            value = value if value > 0.0 else min(most, max(regression.error[k], 1e-3 * most))
+            value = value if value > 0.0 else min(most, max(error, 1e-3 * most))
             rough[name] = Rough(
                 _rounded(value), None, _rounded(value / GUESS_RATIO), _rounded(value * GUESS_RATIO)
             )
             doubts.append(finding(Reason.GUESSED_INERTIA))
             continue
-        error = float(regression.error[k]) if known[k] else None
+        shown = float(error) if known[k] else None
         value = _rounded(max(value, 0.0))
         low = _rounded(value / BOUND_RATIO) if name == "J" else 0.0
         rough[name] = Rough(
-            value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most))
+            value, shown, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most))
         )
     # values that no servo has mean wrong units
     for name, parameter in (("J", J), ("a2", A2)):
@@ -354,6 +374,34 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
                 " right units of the columns"
             )
     return rough, doubts
+
+
+def _slid(reading: _Reading, regression: Regression) -> dict[str, tuple[float, float]]:
+    """Return parameters that the sliding motion shows, each with its standard error, beside torques
+    that a position gives.
+
+    A regression on an acceleration that is noisy gives too small an inertia; the likelihood knows
+    what is noise of the sensor and what is torque.
+    """
+    start = [max(x, e) for x, e in zip(regression.value, regression.error, strict=True)]
+    rough = {
+        name: Rough(x, None, x / GUESS_RATIO, x * GUESS_RATIO)
+        for name, x in zip(("J", "a2", "Fc"), start, strict=True)
+    }
+    model = model_of(reading.layout, rough)
+    dataset = dataset_of(model, reading.records)
+    free = tuple(Free(name, low, high) for name, (low, high) in model.bounds.items())
+    values = {"b": 1.0, "u_max": NO_LIMIT} | model.parameters
+    fit = fit_sliding(
+        SlidingModel(model.friction, (), free, dataset.stretches, dataset.resolution), values
+    )
+    if fit is None:
+        return {}
+    torques = [e for e in POSITION_TORQUES if not (model.linear and find_effect(e).once_per_turn)]
+    fit = with_gross_effects(fit, torques, dataset.turn)
+    deviations = fit.deviations()
+    found = {f.name.split(".")[-1]: (fit.values[f.name], deviations[f.name]) for f in free}
+    return {name: (x, sd) for name, (x, sd) in found.items() if x > KNOWN_ERRORS * sd}
 
 
 def _rounded(value: float | Array) -> float:

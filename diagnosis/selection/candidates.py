@@ -30,7 +30,8 @@ from bristle.diagnosis.estimation.simulator import Simulator
 from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
-from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
+from bristle.diagnosis.selection.start_values import SearchContext, bristle_starts
+from bristle.diagnosis.sliding.screen import Start
 from bristle.plant.effects import effect as find_effect
 
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
@@ -118,19 +119,24 @@ class EffectFit:
 
 
 def fit_candidates(
-    context: SearchContext, names: Sequence[str], effort: Effort
+    context: SearchContext, names: Sequence[str], effort: Effort, done: Sequence[EffectFit] = ()
 ) -> tuple[list[EffectFit], Null]:
-    """Return the named effects, the most promising refitted to the end, and the null."""
+    """Return the named effects, the most promising refitted to the end, and the null; those that
+    are `done` as they are.
+    """
     context.prepare()
-    done: list[str] = []
+    begun: list[str] = []
+    known = {c.name: c for c in done}
     present = ", ".join(context.fitted.servo.effects)
     beside = f" beside {present}" if present else ""
 
     def screened(name: str) -> EffectFit:
+        if name in known:
+            return known[name]
         if context.options.late:
             return EffectFit(name, None, reason=OUT_OF_TIME)
-        done.append(name)
-        share = (len(done) - 1) / max(len(names), 1)
+        begun.append(name)
+        share = (len(begun) - 1) / max(len(names), 1)
         context.options.progress(f"{name}{beside}", share)
         return in_time(lambda: _screened(context, name, effort), EffectFit(name, None))
 

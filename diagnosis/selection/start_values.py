@@ -12,10 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
 
-import numpy as np
-
-from bristle.common.errors import BristleError
-from bristle.common.table import Array
 from bristle.diagnosis.answer import Progress
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
@@ -31,17 +27,15 @@ from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
 )
-from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
-from bristle.diagnosis.sliding.fit import SlidingFit, climb, fit_beside
+from bristle.diagnosis.sliding.fit import SlidingFit, climb
+from bristle.diagnosis.sliding.screen import Start, dry_friction, likeliest_beside
+from bristle.diagnosis.sliding.screen import evidence_of as evidence_of_sliding
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
 T = TypeVar("T")
 S = TypeVar("S")
-Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
-# of the mean torque of the input: stands for the dry friction of a model without any
-NO_FRICTION_SHARE = 0.1
 # times the linear estimate of an effect's first parameter, tried where the model fits poorly
 STRENGTH_FACTORS = (1.0, 1.6)
 
@@ -202,12 +196,6 @@ def evidence_of(dataset: Dataset, fit: Fit, response: ResidualResponse) -> Evide
     )
 
 
-def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
-    """Return a model's dry friction [N.m], or `NO_FRICTION_SHARE` of the mean torque."""
-    friction = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
-    return friction or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
-
-
 def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:
     """Return the bristles of a rigid friction law as start values of an effect that replaces them.
 
@@ -279,40 +267,9 @@ def sliding_starts(context: SearchContext, slides: SlidingFit, name: str) -> lis
     """Return the parameters with which an effect explains most of the sliding motion; none if that
     does not show it.
     """
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(
-        name
-    ).inactive_values
-    fits = []
-    for start in context.start_values(name, _sliding_evidence(context, slides)):
-        free = free_parameters(name, start, context.fitted.servo.limits)
-        values = {**defaults, **{f"{name}.{k}": v for k, v in start.items()}}
-        try:
-            fits.append((fit_beside(slides, name, free, values), start))
-        except BristleError:
-            return []
-    if not fits:
+    starts = context.start_values(name, evidence_of_sliding(slides, context.dataset.turn))
+    found = likeliest_beside(slides, name, starts, context.fitted.servo.limits)
+    if found is None:
         return []
-    best, start = max(fits, key=lambda each: each[0].total)
-    best = climb(best)
+    best, start = climb(found[0]), found[1]
     return [JointStart(best.free_values, {key: best.values[f"{name}.{key}"] for key in start})]
-
-
-def _sliding_evidence(context: SearchContext, slides: SlidingFit) -> Evidence:
-    """Return what effects derive start values from, by what the model leaves of the sliding
-    motion.
-    """
-    s, values = slides.model.over, slides.values
-    return Evidence(
-        s.theta,
-        s.v * s.slides,
-        s.a,
-        s.u,
-        s.time,
-        s.h,
-        context.dataset.resolution,
-        values["J"],
-        dry_friction(slides.model.free, values, s.u),
-        values["b"],
-        slides.regress,
-        context.dataset.turn,
-    )

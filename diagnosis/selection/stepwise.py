@@ -152,29 +152,35 @@ def _added(
 def _next_round(
     context: SearchContext, base: FittedModel, rounds: Sequence[TrialRound]
 ) -> TrialRound:
-    """Return the next round; with all start values if a quick one finds nothing and the model still
-    fits poorly.
+    """Return the next round; with all start values of couplings if a quick one finds nothing and
+    the model still fits poorly.
     """
     names, further = _names(base, rounds), bool(rounds)
     quick = propose_effect(context, names, QUICK, further)
     in_vain = quick.said.outcome in ("none", "rejected") and quick.trials
     if not (in_vain and needs_exhaustive_search(context.dataset, context.fitted)):
         return quick
+    # of one inertia a few steps from the best starts lead as far
+    done = [c for c in quick.trials if not find_effect(c.name).coupling]
     try:
         if not context.options.late:
-            return propose_effect(context, names, EXHAUSTIVE, further)
+            return propose_effect(context, names, EXHAUSTIVE, further, done)
     except OutOfTime:
         pass
     return quick.with_said(cut_short=True)
 
 
 def propose_effect(
-    context: SearchContext, names: Sequence[str], effort: Effort, further: bool = False
+    context: SearchContext,
+    names: Sequence[str],
+    effort: Effort,
+    further: bool = False,
+    done: Sequence[EffectFit] = (),
 ) -> TrialRound:
     """Return a round with its outcome: an effect to add (outcome "added"), or why there is none;
-    `further`: beside others.
+    `further`: beside others; `done` as of `fit_candidates`.
     """
-    latest = evaluate_candidates(context, names, effort)
+    latest = evaluate_candidates(context, names, effort, done)
     return latest if latest.best is None else decide(context, latest, further)
 
 
@@ -256,11 +262,14 @@ def _by_strength(context: SearchContext, latest: TrialRound, further: bool) -> T
 
 
 def evaluate_candidates(
-    context: SearchContext, names: Sequence[str], effort: Effort = QUICK
+    context: SearchContext,
+    names: Sequence[str],
+    effort: Effort = QUICK,
+    done: Sequence[EffectFit] = (),
 ) -> TrialRound:
     """Try the named effects on top of a fitted model, and compare those above the null's level."""
     fit, servo = context.fit, context.fitted.servo
-    tried, null = fit_candidates(context, names, effort)
+    tried, null = fit_candidates(context, names, effort, done)
     fitted = [
         c for c in tried if c.fit is not None and not servo.adds_no_bristles(c.name, c.fit.values)
     ]

@@ -35,7 +35,7 @@ BLOCKS = 200  # parts of the records whose scores count as independent
 FAST_CORNER = 10.0  # Hz: corner frequency of a disturbance that cannot hide a slow effect
 SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
 LEAST_RATE = 1e-6  # 1/s: least viscous friction over inertia that the filter takes
-LEAST_COUNTED = 500  # counted samples from which on a fit is tried
+LEAST_COUNTED = 200  # counted samples from which on a fit is tried
 INERTIA, VISCOUS = "J", "a2"
 
 

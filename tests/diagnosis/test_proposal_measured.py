@@ -99,3 +99,15 @@ def test_arrays_without_names(data):
     assert "no column is called a time; 'array[:, 0]' rises evenly" in [
         said(each) for each in found.doubts
     ]
+
+
+def test_a_swing_up_shows_its_inertia_beside_gravity(data):
+    """Of a pendulum that its drive cannot lift: .18 kg.m2 by a regression with gravity; without it,
+    or on an acceleration with noise in it, half of that.
+    """
+    swung = data / "dfki_pendulum" / "ddp.csv"
+    units = {"time": "s", "position": "rad", "torque": "N.m"}
+    found = propose(swung, {"output": "position"}, units)
+    assert found.rough["J"].value == pytest.approx(0.18, rel=0.3)
+    doubts = [said(each) for each in found.doubts]
+    assert any("such as gravity or a spring, 97%" in line for line in doubts)

@@ -30,7 +30,7 @@ MAY_IMPORT = {
     # side by side: none imports another
     "experiment": {"answer", "checks", "sliding", "estimation", "selection", "stages"},
     "validation": {*GROUND, *FITS, "estimation", "stages"},
-    "init": {*GROUND, "checks"},
+    "init": {*GROUND, *FITS, "checks"},
     "fmu": {*GROUND, *FITS, "checks", "estimation"},
     # on top: sentences, figures and pages, and the order of the work
     "report": GROUND,

@@ -193,6 +193,11 @@ SENTENCES: dict[Reason, str] = {
         "inertia and friction explain only {explained:.0%} of the input: are these the right"
         " columns?"
     ),
+    R.POSITION_INPUT: (
+        "inertia and friction explain only {explained:.0%} of the input; with a torque that follows"
+        " the position, such as gravity or a spring, {beside:.0%}: diagnose looks for it. If there"
+        " is none, are these the right columns?"
+    ),
     R.SIGN_TURNED: (
         "a positive '{column}' moves the output backwards; its sign is turned by scale"
     ),

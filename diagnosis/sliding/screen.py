@@ -1,0 +1,87 @@
+"""Effects beside a servo that slides: each fitted from start values of its own, and those that
+explain much found one after the other, before anything is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bristle.common.errors import BristleError
+from bristle.common.table import Array
+from bristle.diagnosis.free_parameter import Free, free_parameters
+from bristle.diagnosis.sliding.fit import SlidingFit, climb, fit_beside
+from bristle.plant.effect import Evidence
+from bristle.plant.effects import effect as find_effect
+
+# of the mean torque of the input: stands for the dry friction of a model without any
+NO_FRICTION_SHARE = 0.1
+GROSS_GAIN = 15.0  # nats: least gain of an effect without which a model is far off
+
+Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
+Limits = Mapping[str, tuple[float, float]]
+
+
+def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
+    """Return a model's dry friction [N.m], or `NO_FRICTION_SHARE` of the mean torque."""
+    friction = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
+    return friction or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
+
+
+def evidence_of(fit: SlidingFit, turn: float) -> Evidence:
+    """Return what effects derive start values from, by what a model leaves of the sliding motion;
+    `turn` as of `Evidence`.
+    """
+    s, values = fit.model.over, fit.values
+    return Evidence(
+        s.theta,
+        s.v * s.slides,
+        s.a,
+        s.u,
+        s.time,
+        s.h,
+        fit.model.resolution,
+        values["J"],
+        dry_friction(fit.model.free, values, s.u),
+        values["b"],
+        fit.regress,
+        turn,
+    )
+
+
+def likeliest_beside(
+    fit: SlidingFit, name: str, starts: Sequence[Start], limits: Limits
+) -> tuple[SlidingFit, Start] | None:
+    """Return the likeliest fit with an effect more after a few steps, and the start value that
+    leads there; None if the sliding motion does not show the effect.
+    """
+    effect = find_effect(name)
+    defaults = {p.name: p.default for p in effect.parameters} | effect.inactive_values
+    fits = []
+    for start in starts:
+        free = free_parameters(name, start, limits)
+        values = {**defaults, **{f"{name}.{k}": v for k, v in start.items()}}
+        try:
+            fits.append((fit_beside(fit, name, free, values), start))
+        except BristleError:
+            return None
+    return max(fits, key=lambda each: each[0].total, default=None)
+
+
+def with_gross_effects(fit: SlidingFit, names: Sequence[str], turn: float) -> SlidingFit:
+    """Return a fit with those of the named effects that gain much, the one that gains most
+    first.
+    """
+    while left := [name for name in names if name not in fit.model.effects]:
+        found = []
+        for name in left:
+            derive = find_effect(name).starts
+            starts = derive(evidence_of(fit, turn)) if derive else []
+            if (beside := likeliest_beside(fit, name, starts, {})) is not None:
+                found.append(beside[0])
+        best = max(found, key=lambda each: each.total, default=fit)
+        if best.total < fit.total + GROSS_GAIN:
+            break
+        fit = climb(best)
+    return fit
