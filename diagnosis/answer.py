@@ -972,6 +972,8 @@ class Proposal:
     differences : bool
         Whether the output is a velocity that is the difference of a position's readings; the
         records hold that position then.
+    loop : float or None
+        Frequency [Hz, about] of the position loop that the records show; None if they show none.
     """
 
     paths: tuple[Path, ...]
@@ -985,3 +987,4 @@ class Proposal:
     explained: float
     excited: Excitation
     differences: bool
+    loop: float | None = None

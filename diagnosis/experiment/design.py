@@ -18,10 +18,10 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, sliding_fit
 from bristle.diagnosis.experiment.discrimination import Response, Rival, Setup, lead
 from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
-from bristle.diagnosis.experiment.loop import Loop, loop_of
 from bristle.diagnosis.experiment.references import references
 from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchOptions
+from bristle.diagnosis.sliding.loop import Loop, loop_of
 from bristle.diagnosis.sliding.screen import dry_friction
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.records.headings import without_unit

@@ -27,7 +27,7 @@ from bristle.diagnosis.estimation.likelihood import (
 )
 from bristle.diagnosis.estimation.noise import Noise
 from bristle.diagnosis.estimation.simulator import Simulator
-from bristle.diagnosis.experiment.loop import Loop
+from bristle.diagnosis.sliding.loop import Loop
 
 KNOWN_SHARE = 1e-12  # of the largest curvature: least of a direction in which parameters are drawn
 

@@ -30,7 +30,8 @@ from bristle.diagnosis.checks.torque_regression import (
 )
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import NO_LIMIT, Model, own_unit
-from bristle.diagnosis.sliding.fit import SlidingModel, fit_sliding
+from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
+from bristle.diagnosis.sliding.loop import loop_of
 from bristle.diagnosis.sliding.screen import with_gross_effects
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import A2, J
@@ -43,6 +44,7 @@ from bristle.records.record import Record
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
 BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
+ROUGH_PARAMETERS = ("J", "a2", "Fc")
 # torques that position or nothing gives, and that can be most of the input
 POSITION_TORQUES = ("bias", "gravity", "return_spring")
 FRICTION_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
@@ -114,7 +116,9 @@ def propose(
     times, inputs, outputs = _candidates_of(files, asked)
     best, doubts = _best(tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
-    rough, rough_doubts = _rough(best)
+    regression = _regression(best)
+    slides = _sliding(best, regression)
+    rough, rough_doubts = _rough(best, regression, slides)
     # what was not chosen and what is uncertain
     others = {
         "time": tuple(times[1:]),
@@ -126,10 +130,7 @@ def propose(
         *times[0].doubts,
         *best.input.doubts,
         *best.output.doubts,
-        *doubts,
-        *sign_doubt,
-        *rough_doubts,
-        *_one_sign(best),
+        *(*doubts, *sign_doubt, *rough_doubts, *_one_sign(best)),
     ]
     return Proposal(
         tuple(listed),
@@ -143,6 +144,7 @@ def propose(
         best.share,
         excitation(model, best.records),
         best.layout.differences,
+        _loop(slides),
     )
 
 
@@ -330,22 +332,27 @@ def _one_sign(reading: _Reading) -> list[Finding]:
 
 
 # -- rough parameters ------------------------------------------------------------------------------
-def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
-    """Return rough parameters with bounds, and what the records do not show."""
+def _regression(reading: _Reading) -> Regression:
     if reading.rows is None:
         raise BristleError(
             "too little motion in these records for a regression; record steps of several sizes and"
             " slow motion"
         )
-    regression: Regression = regress(reading.rows)
-    slid = _slid(reading, regression)
+    return regress(reading.rows)
+
+
+def _rough(
+    reading: _Reading, regression: Regression, slides: SlidingFit | None
+) -> tuple[dict[str, Rough], list[Finding]]:
+    """Return rough parameters with bounds, and what the records do not show."""
+    slid = _shown(slides) if slides else {}
     torque = float(np.sqrt(np.mean(np.concatenate([r.u for r in reading.records]) ** 2)))
     scale = regression.rows.scale  # rms of acceleration, speed and direction
     # what is not known takes the value of a regression that allows no negative ones
     positive = explained_share(replace(regression.rows, free=regression.rows.free[:, :0]))[1]
     known = regression.known(KNOWN_ERRORS)
     rough, doubts = {}, []
-    for k, name in enumerate(("J", "a2", "Fc")):
+    for k, name in enumerate(ROUGH_PARAMETERS):
         value, error = regression.value[k] if known[k] else positive[k], regression.error[k]
         if name in slid:
             value, error, known[k] = *slid[name], True
@@ -376,9 +383,9 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[Finding]]:
     return rough, doubts
 
 
-def _slid(reading: _Reading, regression: Regression) -> dict[str, tuple[float, float]]:
-    """Return parameters that the sliding motion shows, each with its standard error, beside torques
-    that a position gives.
+def _sliding(reading: _Reading, regression: Regression) -> SlidingFit | None:
+    """Return the fit of the sliding motion, beside torques that a position gives; None where that
+    does not show it.
 
     A regression on an acceleration that is noisy gives too small an inertia; the likelihood knows
     what is noise of the sensor and what is torque.
@@ -386,22 +393,34 @@ def _slid(reading: _Reading, regression: Regression) -> dict[str, tuple[float, f
     start = [max(x, e) for x, e in zip(regression.value, regression.error, strict=True)]
     rough = {
         name: Rough(x, None, x / GUESS_RATIO, x * GUESS_RATIO)
-        for name, x in zip(("J", "a2", "Fc"), start, strict=True)
+        for name, x in zip(ROUGH_PARAMETERS, start, strict=True)
     }
     model = model_of(reading.layout, rough)
     dataset = dataset_of(model, reading.records)
     free = tuple(Free(name, low, high) for name, (low, high) in model.bounds.items())
-    values = {"b": 1.0, "u_max": NO_LIMIT} | model.parameters
-    fit = fit_sliding(
-        SlidingModel(model.friction, (), free, dataset.stretches, dataset.resolution), values
-    )
+    over, values = dataset.stretches, {"b": 1.0, "u_max": NO_LIMIT} | model.parameters
+    fit = fit_sliding(SlidingModel(model.friction, (), free, over, dataset.resolution), values)
     if fit is None:
-        return {}
+        return None
     torques = [e for e in POSITION_TORQUES if not (model.linear and find_effect(e).once_per_turn)]
-    fit = with_gross_effects(fit, torques, dataset.turn)
+    return with_gross_effects(fit, torques, dataset.turn)
+
+
+def _loop(slides: SlidingFit | None) -> float | None:
+    """Return the frequency [Hz] of the position loop that the records show."""
+    loop = loop_of(slides) if slides else None
+    return loop.frequency if loop else None
+
+
+def _shown(fit: SlidingFit) -> dict[str, tuple[float, float]]:
+    """Return the parameters that a fit shows, each with its standard error."""
     deviations = fit.deviations()
-    found = {f.name.split(".")[-1]: (fit.values[f.name], deviations[f.name]) for f in free}
-    return {name: (x, sd) for name, (x, sd) in found.items() if x > KNOWN_ERRORS * sd}
+    found = {name.split(".")[-1]: (fit.values[name], sd) for name, sd in deviations.items()}
+    return {
+        name: found[name]
+        for name in ROUGH_PARAMETERS
+        if found[name][0] > KNOWN_ERRORS * found[name][1]
+    }
 
 
 def _rounded(value: float | Array) -> float:

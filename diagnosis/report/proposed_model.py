@@ -179,6 +179,11 @@ def summary(proposal: Proposal) -> list[str]:
         f" {speed['highest']:.3g} {length}/s, range {x['range_travelled']['value']:.3g} {length},"
         f" {x['reversals']} reversals, at rest {x['rest_share']:.0%}, input up to {band:.2g} Hz"
     )
+    if proposal.loop is not None:
+        lines.append(
+            "loop    the input answers the position: a position loop of about"
+            f" {proposal.loop:.2g} Hz"
+        )
     # what is not certain
     notes = [*proposal.doubts, *(line for record in proposal.records for line in record.findings)]
     if proposal.excited.uniform:

@@ -25,12 +25,12 @@ from bristle.diagnosis.experiment.discrimination import (
     lead,
 )
 from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs, move, varied
-from bristle.diagnosis.experiment.loop import Loop, loop_of
 from bristle.diagnosis.experiment.references import references
 from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.text.designed import designed_line
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
+from bristle.diagnosis.sliding.loop import Loop, loop_of
 from bristle.diagnosis.sliding.stretches import stretches_of
 
 H = 1e-3

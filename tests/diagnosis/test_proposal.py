@@ -2,6 +2,7 @@
 servo.
 """
 
+import math
 import sys
 import tomllib
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from loggers import STYLES, mistakes, servo_records, write_pair
+from loggers import SERVO, STYLES, draw_scene, mistakes, servo_records, write_pair
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, load_model, load_records
@@ -331,3 +332,14 @@ def test_files_of_other_columns_are_named(tmp_path):
         match=r"likely to be the output.*: torque; not in every file, .*: angle, winkel",
     ):
         propose(paths)
+
+
+def test_the_loop_of_the_records_is_said(pairs):
+    """Its frequency by the gain of the controller that made the records, on their inertia."""
+    loop = draw_scene(np.random.default_rng(5), "rich").loop
+    true = math.sqrt(loop["kp"] / SERVO["J"]) / (2 * math.pi)
+    found = propose(pairs("german spreadsheet"))
+    assert true / 2 < found.loop < 2 * true
+    [line] = [line for line in summary(found) if line.startswith("loop")]
+    assert f"about {found.loop:.2g} Hz" in line
+    assert not any(line.startswith("loop") for line in summary(replace(found, loop=None)))
