@@ -60,8 +60,7 @@ def _position_friction(
     rng: Generator, torque: float, true: Mapping[str, float], unit: float
 ) -> Fields:
     periods, phase = _wave(rng)
-    amplitude = min(torque, 0.8 * true["Fc"])
-    of = {"amplitude": amplitude, "periods": periods, "phase": phase}
+    of = {"amplitude": min(torque / true["Fc"], 0.8), "periods": periods, "phase": phase}
     return {f"position_friction_{key}": x for key, x in of.items()}
 
 

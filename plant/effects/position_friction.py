@@ -43,7 +43,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
     return [
         {"amplitude": min(math.hypot(s, c), 0.9), "phase": math.atan2(c, s), "periods": periods}
-        for periods, (s, c) in e.best(e.waves(1, 8), columns, 2)
+        for periods, (s, c) in e.best(e.waves(1, 60), columns, 2)
     ]
 
 

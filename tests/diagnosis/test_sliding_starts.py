@@ -16,6 +16,8 @@ from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, limi
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise, sliding_fit
 from bristle.diagnosis.selection.discretisation import numerical, steady
 from bristle.diagnosis.selection.start_values import SearchContext, sliding_starts
+from bristle.plant.effect import Evidence
+from bristle.plant.effects import effect
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +91,23 @@ def test_a_gain_is_numerical_if_it_vanishes_with_finer_steps() -> None:
     assert not numerical(100.0, 85.0, 50.0)
     assert numerical(100.0, -300.0, 1.0)
     assert numerical(100.0, 45.0, 1.0)  # far above chance still, but most of it was in the numbers
+
+
+@pytest.mark.parametrize("teeth", [3, 19, 47])
+def test_friction_of_each_tooth_of_a_gear_is_looked_for(teeth: int) -> None:
+    """As of cogging, up to 60 periods a turn."""
+    t = 1e-3 * np.arange(20_000)
+    theta, v = 5 * np.sin(0.7 * t), 3.5 * np.cos(0.7 * t)
+    left = -0.12 * 0.3 * np.sin(teeth * theta + 0.4) * np.sign(v)
+
+    def regress(torques: np.ndarray) -> tuple[np.ndarray, float]:
+        found = np.linalg.lstsq(torques, left, rcond=None)[0]
+        return found, float(left @ (torques @ found))
+
+    evidence = Evidence(theta, v, 0 * t, 0 * t, t, 1e-3, 1e-4, 0.01, 0.12, 1.0, regress)
+    derive = effect("position_friction").starts
+    assert derive is not None
+    best = derive(evidence)[0]
+    assert best["periods"] == pytest.approx(teeth)
+    assert best["amplitude"] == pytest.approx(0.3, rel=1e-6)
+    assert best["phase"] == pytest.approx(0.4, abs=1e-6)
