@@ -106,23 +106,20 @@ class Rival:
         self, given: Array, setup: Setup, values: Mapping[str, float], added: Array
     ) -> list[Response] | None:
         """Return the responses with what is added (n, k) to the input; None if one fails."""
-        simulator = self._simulator(given, setup)
+        count = added.shape[1]
         if setup.loop is None:
             outputs = [
                 self._simulator(given + each, setup).run(values, setup.initial) for each in added.T
             ]
             seen = [Response(given, y[0]) for y, _, good, _ in outputs if good[0]]
         else:
-            width = LANES - added.shape[1]
-            filled = np.column_stack([added, *[added[:, 0]] * width])
+            filled = np.column_stack([added, *[added[:, 0]] * (LANES - count)])
             pairs = np.column_stack([given, np.gradient(given, setup.grid.h)])
-            y, u, good = simulator.follow(values, pairs, filled, setup.drive(values))
-            seen = [
-                Response(u[:, k], y[:, k])
-                for k, alive in enumerate(good[: added.shape[1]])
-                if alive
-            ]
-        usable = len(seen) == added.shape[1] and all(np.isfinite(r.y).all() for r in seen)
+            y, u, good = self._simulator(given, setup).follow(
+                values, pairs, filled, setup.drive(values)
+            )
+            seen = [Response(u[:, k], y[:, k]) for k in range(count) if good[k]]
+        usable = len(seen) == count and all(np.isfinite(r.y).all() for r in seen)
         return seen if usable else None
 
     def _simulator(self, u: Array, setup: Setup) -> Simulator:

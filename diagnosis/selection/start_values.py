@@ -29,8 +29,12 @@ from bristle.diagnosis.estimation.simulator import (
 )
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.sliding.fit import SlidingFit, climb
-from bristle.diagnosis.sliding.screen import Start, dry_friction, likeliest_beside
-from bristle.diagnosis.sliding.screen import evidence_of as evidence_of_sliding
+from bristle.diagnosis.sliding.screen import (
+    Start,
+    dry_friction,
+    likeliest_beside,
+    sliding_evidence,
+)
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -267,7 +271,7 @@ def sliding_starts(context: SearchContext, slides: SlidingFit, name: str) -> lis
     """Return the parameters with which an effect explains most of the sliding motion; none if that
     does not show it.
     """
-    starts = context.start_values(name, evidence_of_sliding(slides, context.dataset.turn))
+    starts = context.start_values(name, sliding_evidence(slides, context.dataset.turn))
     found = likeliest_beside(slides, name, starts, context.fitted.servo.limits)
     if found is None:
         return []

@@ -68,8 +68,7 @@ def loop_of(fit: SlidingFit) -> Loop | None:
     The innovations of the sliding motion are known to no reference. What of the input they predict,
     beyond what its own past does, is the answer of a controller; in open loop there is none.
     Proportional and derivative action are fitted to that answer, since in it both sides share the
-    same cause. Source: ljung1999 (chapter 7, instrumental
-    variables; chapter 13, identification in closed loop).
+    same cause. Source: ljung1999 (chapter 7, instrumental variables; chapter 13, closed loop).
     """
     over = fit.model.over
     if over.velocity:
@@ -77,12 +76,19 @@ def loop_of(fit: SlidingFit) -> Loop | None:
     seen = _seen(fit)
     input_left = seen.filtered(over.u)[over.counted]
     predicted, whole = seen.basis.T @ input_left, float(input_left @ input_left)
+    if whole == 0.0:  # no input while the servo slides
+        return None
     gain = -0.5 * len(input_left) * math.log1p(-float(predicted @ predicted) / whole)
     if gain < LEAST_GAIN:
         return None
     error = math.sqrt(whole / len(input_left))
     filters = [(0.0, 0), *product(np.geomspace(*FILTERS, FILTERS_TRIED), STAGES)]
-    tried = [_fitted(seen, predicted, error, each) for each in filters]
+    rate = np.concatenate([[0.0], np.diff(over.measured)]) / over.h
+    rate[np.flatnonzero(np.diff(over.record)) + 1] = 0.0
+    position = seen.whitened(over.measured)
+    tried = [
+        _fitted(predicted, error, position, seen.whitened(_behind(rate, *each))) for each in filters
+    ]
     misfit, actions, deviations = min(tried, key=lambda each: each[0])
     if misfit > MOST_MISFIT * float(predicted @ predicted):
         return None
@@ -111,19 +117,21 @@ def _own_past(u: Array) -> Array:
     return np.asarray(np.linalg.lstsq(rows, u[OWN_PAST:], rcond=1e-10)[0])
 
 
-def _fitted(
-    seen: _Seen, predicted: Array, error: float, behind: tuple[float, int]
-) -> tuple[float, Array, Array]:
-    """Return what two actions leave of the predicted input, them, and their standard errors; the
-    derivative behind filters of a time constant [samples] and how many.
-    """
-    over, (samples, stages) = seen.fit.model.over, behind
+def _behind(signal: Array, samples: float, stages: int) -> Array:
+    """Return a signal behind filters of first order, of a time constant [samples] and how many."""
     keep = math.exp(-1.0 / samples) if samples else 0.0
-    rate = np.concatenate([[0.0], np.diff(over.measured)]) / over.h
-    rate[np.flatnonzero(np.diff(over.record)) + 1] = 0.0
     for _ in range(stages):
-        rate = lfilter([1.0 - keep], [1.0, -keep], rate)
-    table = -np.column_stack([seen.whitened(over.measured), seen.whitened(rate)])
+        signal = lfilter([1.0 - keep], [1.0, -keep], signal)
+    return signal
+
+
+def _fitted(
+    predicted: Array, error: float, position: Array, rate: Array
+) -> tuple[float, Array, Array]:
+    """Return what actions on position and rate leave of the predicted input, these actions, and
+    their standard errors.
+    """
+    table = -np.column_stack([position, rate])
     actions = np.asarray(np.linalg.lstsq(table, predicted, rcond=1e-12)[0], dtype=float)
     left = predicted - table @ actions
     spread = np.linalg.pinv(table.T @ table, hermitian=True)

@@ -29,7 +29,7 @@ def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) 
     return friction or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
 
 
-def evidence_of(fit: SlidingFit, turn: float) -> Evidence:
+def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
     """Return what effects derive start values from, by what a model leaves of the sliding motion;
     `turn` as of `Evidence`.
     """
@@ -74,10 +74,10 @@ def with_gross_effects(fit: SlidingFit, names: Sequence[str], turn: float) -> Sl
     first.
     """
     while left := [name for name in names if name not in fit.model.effects]:
-        found = []
+        found, evidence = [], sliding_evidence(fit, turn)
         for name in left:
             derive = find_effect(name).starts
-            starts = derive(evidence_of(fit, turn)) if derive else []
+            starts = derive(evidence) if derive else []
             if (beside := likeliest_beside(fit, name, starts, {})) is not None:
                 found.append(beside[0])
         best = max(found, key=lambda each: each.total, default=fit)

@@ -4,10 +4,11 @@
 #include <math.h>
 
 /* Drive all lanes over n steps of length h by u = kp (r - theta) + kd (r' - v) within [low, high]; the servo is driven by u and the
- * disturbance together, from a time on. The lanes have been initialised. reference: r and r' (n, 2); places of input, position, speed and output;
- * disturbance, seen, driven: (n, LANES); good: of lanes that came to the end. */
+ * disturbance together, from a time on. The lanes have been initialised. reference: r and r' (n, 2); places of input, position,
+ * speed and output; disturbance, seen, driven: (n, LANES); good: of lanes that came to the end. */
 EXPORT void lanes_follow(Lanes *l, long long n, double h, double time, const int *places, const double *gains,
-                         const double *ends, const double *reference, const double *disturbance, double *seen, double *driven, unsigned char *good)
+                         const double *ends, const double *reference, const double *disturbance,
+                         double *seen, double *driven, unsigned char *good)
 {
     const int input = places[0], position = places[1], speed = places[2], observed = places[3];
     l->s = 0;

@@ -301,6 +301,14 @@ def test_a_loop_is_seen_in_its_records_and_open_loop_is_not(frequency: float) ->
     assert loop_of(slides(played)) is None
 
 
+def test_a_servo_that_coasts_shows_no_loop() -> None:
+    """No input at all while it slides."""
+    [(time, u, y)] = records_of_a_loop(3.0)[0]
+    coasting = slides([(time, u, y)])
+    none = replace(coasting.model.over, u=np.zeros_like(u))
+    assert loop_of(replace(coasting, model=replace(coasting.model, over=none))) is None
+
+
 def records_of_a_loop(frequency: float) -> tuple[list[Any], list[Any]]:
     """Return (time, input, output) of a servo with dry friction: in a loop, and played back."""
     rng, n, fine = np.random.default_rng(5), 20000, 4
