@@ -25,8 +25,6 @@ from bristle.records.record import Record
 # from the strength of an effect to an end of its interval, over the strength, which must be less
 STRENGTH_HALF_WIDTH = 0.5
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
-# of all changes of the segments' predictions: least that is left of the gains after the losses
-LEAST_NET_SHARE = 0.5
 # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
 SENSOR_VIEWS = ("du",)
 OUTLIERS = "some stretches"  # view of the segments with a large error, in diagnosis.json too
@@ -105,7 +103,6 @@ class Reason(StrEnum):
     # what a criterion is not met by
     TOO_SMALL = "too_small"
     NOT_CONFIRMED = "not_confirmed"
-    INCONSISTENT = "inconsistent"
     NOT_COMPARED = "not_compared"
     LESS_LIKELY = "less_likely"
     REJECTED = "rejected"
@@ -260,7 +257,6 @@ class Assessment:
     error_reduction: float = 1.0
     # of the log predictive density of all segments, each under parameters fitted without it [nats]
     predictive_gain: float = 0.0
-    net_share: float = 0.0  # of the gains and losses of all segments that is gain
     # by how much the best candidate is likelier, and the standard error of that [nats]
     deficit: tuple[float, float] = (0.0, 0.0)
 
@@ -277,14 +273,9 @@ class Assessment:
         return self.predictive_gain > self.level
 
     @property
-    def consistent(self) -> bool:
-        """True if few segments become less likely."""
-        return self.net_share >= LEAST_NET_SHARE
-
-    @property
     def accepted(self) -> bool:
         """True if the effect meets the criterion."""
-        return self.large_enough and self.confirmed and self.consistent
+        return self.large_enough and self.confirmed
 
     @property
     def objection(self) -> Finding | None:
@@ -293,7 +284,7 @@ class Assessment:
             return finding(Reason.TOO_SMALL, error_reduction=self.error_reduction)
         if not self.confirmed:
             return finding(Reason.NOT_CONFIRMED, predictive_gain=self.predictive_gain)
-        return None if self.consistent else finding(Reason.INCONSISTENT, net_share=self.net_share)
+        return None
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ def _searched(
     searched.
 
     Where the search finds that the input was held otherwise than the records say, they are
-    corrected and prepared again.
+    corrected and prepared again; where it finds nothing, a case that can be prepared otherwise is.
     """
     held = tuple[Finding, ...]()
     given = records
@@ -207,6 +207,9 @@ def _searched(
             return prepared
         with until(budget.until(COMPARISON_SHARE)):
             outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
+            if prepared.otherwise and outcome.in_vain:
+                prepared = prepared.otherwise()
+                outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
         if outcome.input_share is None:
             return prepared, outcome
         records, more = with_input_share(records, outcome.input_share)

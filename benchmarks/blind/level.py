@@ -31,7 +31,7 @@ from truth import RESOLUTION, Array
 
 from bristle.common.arguments import filled_path
 from bristle.diagnosis import Record, load_model, load_records, records_from_arrays
-from bristle.diagnosis.checks.preparation import dataset_of, prepare_model
+from bristle.diagnosis.checks.preparation import PreparedCase, prepared_case
 from bristle.diagnosis.estimation.dataset import (
     Piece,
     Segments,
@@ -48,9 +48,11 @@ FACTORS = (1.0, 2.0, 3.0, 4.0)  # times the quantile of the scores
 MOST_CONTROLS = 100  # replicates of a control are numbered from so many times its own number
 
 
-def fitted_to(model: Model, records: Sequence[Record]) -> FittedModel:
-    """Return the model as a diagnosis fits it before effects are tried."""
-    return prepare_model(model, records, dataset_of(model, records))[1]
+def prepared(model: Model, records: Sequence[Record]) -> PreparedCase:
+    """Return the case as a diagnosis prepares it before effects are tried."""
+    case = prepared_case(model, records, (), lambda *_: None)
+    assert isinstance(case, PreparedCase)
+    return case
 
 
 def replicate(
@@ -86,9 +88,10 @@ def searched(folder: Path, number: int, target: Path) -> None:
     model = load_model(folder / "model.toml")
     records = load_records(model, [folder / "a.npz", folder / "b.npz"])
     rng = np.random.default_rng([number, 1])
-    again = records_from_arrays(model, replicate(fitted_to(model, records), records, rng))
-    dataset, base, _ = prepare_model(model, again, dataset_of(model, again))
-    [first, *_] = search(dataset, base, SearchOptions(jobs=1, test_input_hold=False)).rounds
+    again = records_from_arrays(model, replicate(prepared(model, records).base, records, rng))
+    case = prepared(model, again)
+    base = case.base
+    [first, *_] = search(case.dataset, base, SearchOptions(jobs=1, test_input_hold=False)).rounds
     excess = [
         c.gain_over(base.fit) - first.null.typical.get(c.name, 0.0) for c in first.trials if c.fit
     ]
@@ -186,7 +189,7 @@ sensor, the encoder's steps), and all effects are tried in these as in a diagnos
 {rows}
 
 The quantile is that which the null distribution exceeds in 1 of 500 draws of random signs of the
-segments' scores (rule 6 in [how the diagnosis decides](../../docs/diagnosis_rules.md)), a matter of
+segments' scores (rule 3 in [how the diagnosis decides](../../docs/diagnosis_rules.md)), a matter of
 milliseconds. Refits from several starts gain more than scores tell, as the first line shows, so
 that the level is `REFIT_FACTOR` times that quantile. An effect above the level is named only if it
 meets the rest of the criterion too (last line). Intervals are those of Clopper and Pearson over all

@@ -61,7 +61,8 @@ class PreparedCase:
     without further effects.
 
     `notes`: of the records; `later`: of their preparation, which follow those of the search.
-    `remark` adds what else is to be said of an answer once the conclusion is known.
+    `remark` adds what else is to be said of an answer once the conclusion is known; `otherwise`
+    prepares the case another way, where nothing is found.
     """
 
     model: Model
@@ -71,6 +72,7 @@ class PreparedCase:
     notes: tuple[Line, ...] = ()
     later: tuple[Line, ...] = ()
     remark: Callable[[Diagnosis], Diagnosis] | None = None
+    otherwise: Callable[[], PreparedCase] | None = None
 
 
 def notes_of(records: Sequence[Record], held: tuple[Finding, ...]) -> tuple[Line, ...]:
@@ -88,8 +90,14 @@ def prepared_case(
         gap = nominal_gap(dataset, *base_servo_of(model, dataset))
         return implausible(model, records, gap, said, notes)
     tell("base refit", 0.0)
-    dataset, base, lines = prepare_model(model, records, dataset)
-    return PreparedCase(model, records, dataset, base, notes, (*lines, *said.notes))
+    servo, values = base_servo_of(model, dataset)
+    base = fit_from_several_starts(dataset, servo, values)
+    case = PreparedCase(model, records, dataset, base, notes, said.notes)
+    if not has_diverged(dataset, base.fit):
+        return case
+    if _lacks_much(dataset, servo, values):
+        return replace(case, otherwise=lambda: _in_shorter_segments(case))
+    return _in_shorter_segments(case)
 
 
 def implausible(
@@ -302,31 +310,26 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
         )
 
 
-def prepare_model(
-    model: Model, records: Sequence[Record], dataset: Dataset
-) -> tuple[Dataset, FittedModel, list[Finding]]:
-    """Return the records in segments that the model can follow, the model fitted to them, and
-    findings.
+def _in_shorter_segments(case: PreparedCase) -> PreparedCase:
+    """Return a case in segments that its model can follow, with what is said of them.
 
     The simulation of a light servo in a stiff loop diverges from the measured motion as soon as
-    anything is missing, and its residual does not show what. Shorter segments prevent that. They do
-    not help where the sliding motion shows that much is missing: an effect is found first then.
+    anything is missing, and its residual does not show what. Shorter segments prevent that. Where
+    the sliding motion shows that much is missing, they hide it: there they come second.
     """
+    dataset, base = case.dataset, case.base
     usual = asked = dataset.segments.seconds
-    servo, values = base_servo_of(model, dataset)
-    base = fit_from_several_starts(dataset, servo, values)
-    shorten = has_diverged(dataset, base.fit) and not _lacks_much(dataset, servo, values)
-    while shorten and has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
+    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
         asked /= 2
-        shorter = dataset_of(model, records, asked)
+        shorter = dataset_of(case.model, case.records, asked)
         if shorter.segments.seconds < dataset.segments.seconds:
-            dataset, base = (
-                shorter,
-                fit_from_several_starts(shorter, *base_servo_of(model, shorter)),
-            )
+            dataset = shorter
+            base = fit_from_several_starts(dataset, *base_servo_of(case.model, dataset))
     seconds = dataset.segments.seconds
+    if seconds == usual:
+        return replace(case, otherwise=None)
     said = finding(Reason.SHORTER_SEGMENTS, usual=usual, seconds=seconds)
-    return dataset, base, [said] if seconds < usual else []
+    return replace(case, dataset=dataset, base=base, later=(said, *case.later), otherwise=None)
 
 
 def _lacks_much(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> bool:

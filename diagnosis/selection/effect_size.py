@@ -45,16 +45,6 @@ def fall_in_all(before: Array, after: Array) -> float:
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
 
 
-def net_share(gains: Array) -> float:
-    """Return what is left of the gains of segments (segments,) after the losses of others, over
-    gains and losses together.
-
-    An effect that is there makes the segments likelier in which it acts. One that stands in for
-    something else, or for the form of one found before, makes some likelier and others less likely.
-    """
-    return float(gains.sum()) / max(float(np.abs(gains).sum()), np.finfo(float).tiny)
-
-
 def predictive_density(held_out: Problem, fit: Fit) -> Array:
     """Return the log predictive density of each segment (segments,) [nats], initial states
     integrated out; 0 for others.

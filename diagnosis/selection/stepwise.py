@@ -76,6 +76,13 @@ class SearchOutcome:
     # what the time budget left out, beside the effects that the last round did not try
     cut_short: Finding | None = None
 
+    @property
+    def in_vain(self) -> bool:
+        """True if its first round was its last one and found neither an effect nor a tie."""
+        [first, *later] = self.rounds
+        found = bool(later) or first.said.outcome not in ("none", "rejected")
+        return not found and self.input_share is None
+
 
 def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> SearchOutcome:
     """Add effects one after the other as long as one is found that is certain and large enough."""

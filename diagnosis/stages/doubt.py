@@ -16,8 +16,8 @@ from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
 
 DOUBTED_SHARE = 0.75  # within which a strength must be known: a factor of 4
-# share of the residual in a view, unexplained, from which on what was found may stand in for it
-LARGE_REST = 0.3
+# of what was explained: share that a view still predicts, for which what was found may stand in
+UNEXPLAINED_SHARE = 0.1
 # of two torques, each rms: what is left of them together where one undoes the other
 CANCELLED = 0.2
 
@@ -48,8 +48,9 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
         yield finding(Reason.DOUBT_ERROR, factor=LEAST_FALL)
     if answer.whole is not None and answer.whole.worse_throughout and not impacts:
         yield finding(Reason.DOUBT_WHOLE)
-    if answer.remains.flag and answer.remains.share >= LARGE_REST:
-        yield finding(Reason.DOUBT_REST, share=answer.remains.share)
+    left, gap = answer.remains, answer.gap
+    if left.flag and left.share * gap.after > UNEXPLAINED_SHARE * (gap.before - gap.after):
+        yield finding(Reason.DOUBT_REST, share=left.share)
     if opposed := _cancelling(case, answer):
         yield finding(Reason.DOUBT_CANCELLING, effects=opposed)
 

@@ -128,15 +128,14 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
         in lines["gravity"]
     )
     for worth, why in (
-        (Assessment(20.0, 1.1, 30.0, 0.9), "but lowers the squared error too little"),
+        (Assessment(20.0, 1.1, 30.0), "but lowers the squared error too little"),
         (
-            Assessment(20.0, 2.0, 15.0, 0.9),
+            Assessment(20.0, 2.0, 15.0),
             "but does not make segments likelier that its parameters were not fitted to",
         ),
-        (Assessment(20.0, 2.0, 30.0, 0.4), "but makes too many segments less likely"),
-        (Assessment(20.0, 2.0, 30.0, 0.9), "but was rejected by the search"),
+        (Assessment(20.0, 2.0, 30.0), "but was rejected by the search"),
         (
-            Assessment(20.0, 2.0, 30.0, 0.9, (9.0, 2.0)),
+            Assessment(20.0, 2.0, 30.0, (9.0, 2.0)),
             "but explains the residual less well than another effect",
         ),
     ):

