@@ -155,9 +155,9 @@ def diagnose_all(out: Path, jobs: int) -> None:
     go_on(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in order], jobs, "diagnose")
 
 
-def stamp(out: Path) -> None:
-    """Write which code the results of a folder come from; raise an error if they come from other
-    code.
+def stamp(out: Path) -> str:
+    """Write which code the results of a folder come from, and return it; raise an error if they
+    come from other code.
     """
     code = _git("rev-parse", "HEAD") + (" with changes" if _git("status", "--porcelain") else "")
     path = out / "code.txt"
@@ -166,7 +166,9 @@ def stamp(out: Path) -> None:
             f"{out} holds results of commit {path.read_text(encoding='utf-8')}, this is {code};"
             " give another folder"
         )
+    out.mkdir(parents=True, exist_ok=True)
     path.write_text(code, encoding="utf-8")
+    return code
 
 
 def answered(out: Path) -> list[tuple[Any, Any]]:
