@@ -20,7 +20,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -137,23 +137,29 @@ def diagnose_one(what: str, commit: str, k: int, target: Path) -> None:
 
 def judged(case: Json) -> str:
     """Return how right an answer is."""
-    found, true = case["found"], {class_of(name) for name in case["hidden"]}
-    named = {class_of(effect["name"]) for effect in found["effects"]}
-    tied = [{class_of(name) for name in tie} for tie in found["ties"]]
-    suspected = {class_of(effect["name"]) for effect in found.get("suspects", [])}
+    found, true = case["found"], _classes(case["hidden"])
+    named = _classes(effect["name"] for effect in found["effects"])
+    tied = [_classes(tie) for tie in found["ties"]]
     if found["verdict"] == "error":
         return "error"
     if named - true and not any(named - true <= tie and tie & true for tie in tied):
         return "wrong"
-    if named == true:
-        return "right" if true else "nothing named"
+    if true and named == true:
+        return "right"
     if len(true - named) == 1 and any(true - named <= tie for tie in tied):
         return "tied with the truth"
-    if named:
-        return "in part"
+    return "in part" if named else _unnamed(found, true)
+
+
+def _unnamed(found: Json, true: set[str]) -> str:
+    suspected = _classes(effect["name"] for effect in found.get("suspects", []))
     if suspected:
         return "suspected" if suspected <= true else "suspected, not there"
-    return {"none": "nothing named"}.get(found["verdict"], "withheld")
+    return "nothing named" if found["verdict"] == "none" else "withheld"
+
+
+def _classes(names: Iterable[str]) -> set[str]:
+    return {class_of(name) for name in names}
 
 
 def flagged(case: Json) -> bool:
@@ -190,8 +196,8 @@ def _rows(what: str, cases: list[Json]) -> None:
 
 def _found_most(case: Json) -> bool:
     """Return whether all effects but one, or more, were named."""
-    named = {class_of(effect["name"]) for effect in case["found"]["effects"]}
-    true = {class_of(name) for name in case["hidden"]}
+    named = _classes(effect["name"] for effect in case["found"]["effects"])
+    true = _classes(case["hidden"])
     return len(named & true) >= len(true) - 1
 
 

@@ -403,6 +403,8 @@ class Unexplained:
     # rms of the disturbance torque that the fit needs, over that of the input's torque
     disturbance: float = 0.0
     label: Line = ""  # as of the `ResidualView`
+    # whether it is so large a part of the error before that what was found may stand in for it
+    doubtful: bool = False
     # whether the disturbance is large, and no motion variable predicts much of the residual
     disturbed: bool = False
 
@@ -431,11 +433,6 @@ class Gap:
     def unit(self) -> str:
         """Unit of the output, squared."""
         return f"({self.output_unit})2" if "/" in self.output_unit else f"{self.output_unit}2"
-
-    @property
-    def left(self) -> float:
-        """Error after over error before."""
-        return self.after / self.before if self.before > 0 else 1.0
 
     @property
     def ratio(self) -> float | None:

@@ -31,9 +31,9 @@ class FinalModel:
     named: Sequence[str] = ()  # effects
     values: Mapping[str, float] = field(default_factory=dict)  # its parameters [SI]
     turn: float = 6.283185307179586  # path along which periods are counted [rad or m]
-    # mean squared error on held-out segments, over that of the model without effects
+    # mean squared error of all segments, over that of the model without effects
     error_left: float = 1.0
-    # factor by which the error falls there, with the influence of single segments bounded
+    # factor by which that of held-out ones falls, with the influence of single segments bounded
     error_fall: float = 1.0
     disturbance: float = 0.0  # as of `Unexplained`
 
@@ -68,7 +68,8 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
     unseen = (*SENSOR_VIEWS, OUTLIERS) if model.free_play else SENSOR_VIEWS
     seen = [each for each in shares if each.view not in unseen]
     if model.ineffective:
-        return Unexplained(True, seen[0].view, seen[0].share, model.disturbance, seen[0].label)
+        first = seen[0]
+        return Unexplained(True, first.view, first.share, model.disturbance, first.label)
     # what is certain, and the first of it that is large and no form of what is named
     certain = []
     for share in seen:
@@ -78,7 +79,8 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
         certain.append(share)
         form = any(is_form(share.periods, wave) for wave in model.waves)
         if _is_large(share, model, same) and not form:
-            return Unexplained(True, share.view, share.share, model.disturbance, share.label)
+            found = Unexplained(True, share.view, share.share, model.disturbance, share.label)
+            return replace(found, doubtful=_of_gap(share, model, same))
     # else the largest share that is certain, or that of no view
     disturbed = not model.named and model.disturbance > LARGE_DISTURBANCE
     rest = Unexplained(False, None, shares[0].share, model.disturbance, disturbed=disturbed)
@@ -89,11 +91,13 @@ def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
 
 def _is_large(share: Share, model: FinalModel, same: bool) -> bool:
     """Return whether a share is large enough to report; `same`: its period is a named effect's."""
-    if model.named:
-        of_gap = share.share * model.error_left >= (
-            SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP
-        )
-        return share.share >= MIN_SHARE and (
-            of_gap or (share.view == "tone" and share.share >= TONE_SHARE)
-        )
-    return share.share >= SHARE_WITHOUT_NAME
+    if not model.named:
+        return share.share >= SHARE_WITHOUT_NAME
+    tone = share.view == "tone" and share.share >= TONE_SHARE
+    return share.share >= MIN_SHARE and (tone or _of_gap(share, model, same))
+
+
+def _of_gap(share: Share, model: FinalModel, same: bool) -> bool:
+    """Return whether a share is large beside the error before."""
+    least = SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP
+    return share.share * model.error_left >= least

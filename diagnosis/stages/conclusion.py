@@ -62,13 +62,18 @@ class ErrorsBeforeAndAfter:
     shares: list[Share]  # shares of the later one
     gap: Gap  # errors on held-out segments
     error_fall: float  # factor by which the error falls there, outliers clipped
+    # mean squared error of all segments, over that of the model before the search
+    error_left: float
 
     @classmethod
     def of(cls, case: PreparedCase, final: FittedModel) -> ErrorsBeforeAndAfter:
         """Return the comparison of the model that the search ended with."""
         held_out = case.dataset.held_out
         error_fall = fall_in_all(squares(case.base.fit, held_out), squares(final.fit, held_out))
-        return cls(*localise(case.dataset, case.base, final), gap_between(case, final), error_fall)
+        counted = case.dataset.segments.counted
+        error_left = mean_square(final.fit, counted) / mean_square(case.base.fit, counted)
+        gap = gap_between(case, final)
+        return cls(*localise(case.dataset, case.base, final), gap, error_fall, error_left)
 
     def left(self, case: PreparedCase, final: FittedModel, named: Sequence[str]) -> Unexplained:
         """Return whether a part of the residual is unexplained beside the named effects."""
@@ -76,7 +81,7 @@ class ErrorsBeforeAndAfter:
             named,
             final.fit.values,
             case.dataset.turn,
-            self.gap.left,
+            self.error_left,
             self.error_fall,
             disturbance_ratio(case.dataset, final.fit),
         )

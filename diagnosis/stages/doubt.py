@@ -16,8 +16,6 @@ from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
 
 DOUBTED_SHARE = 0.75  # within which a strength must be known: a factor of 4
-# of what was explained: share that a view still predicts, for which what was found may stand in
-LEFT_SHARE = 0.1
 # of two torques, each rms: what is left of them together where one undoes the other
 CANCELLED = 0.2
 
@@ -48,9 +46,8 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
         yield finding(Reason.DOUBT_ERROR, factor=LEAST_FALL)
     if answer.whole is not None and answer.whole.worse_throughout and not impacts:
         yield finding(Reason.DOUBT_WHOLE)
-    left, gap = answer.remains, answer.gap
-    if left.flag and left.share * gap.after > LEFT_SHARE * (gap.before - gap.after):
-        yield finding(Reason.DOUBT_REST, share=left.share)
+    if answer.remains.doubtful:
+        yield finding(Reason.DOUBT_REST, share=answer.remains.share)
     if opposed := _cancelling(case, answer):
         yield finding(Reason.DOUBT_CANCELLING, effects=opposed)
 

@@ -13,7 +13,6 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import (
     Diagnosis,
     Estimate,
-    Gap,
     HorizonError,
     Reason,
     RecordError,
@@ -38,14 +37,6 @@ def moving(*speeds: float, effects: tuple[str, ...] = ()) -> Any:
     servo = SimpleNamespace(law="coulomb", effects=effects, fixed={"b": 1.0, "u_max": 1e9})
     final = SimpleNamespace(servo=servo, fit=SimpleNamespace(values={"J": 0.01, "a2": 0.02}))
     return SimpleNamespace(dataset=SimpleNamespace(stretches=over), final=final)
-
-
-def rest(share: float) -> dict[str, Any]:
-    """Return gap and residual of an answer in which a view predicts so much of what was explained
-    in what is left.
-    """
-    left = Gap(1.0 + share / 0.6, share / 0.6, None, "rad")
-    return {"gap": left, "remains": Unexplained(True, "t", 0.6)}
 
 
 def judged(diagnosis: Diagnosis, case: Any = None) -> list[Reason]:
@@ -138,8 +129,9 @@ def test_drift_in_the_long_run_is_no_doubt(answer):
 
 def test_what_is_left_may_be_what_was_taken_for_an_effect(answer):
     named = answer("named")
-    assert judged(replace(named, **rest(0.12))) == [Reason.DOUBT_REST]
-    assert judged(replace(named, **rest(0.08))) == []
+    for doubtful, doubts in ((True, [Reason.DOUBT_REST]), (False, [])):
+        left = Unexplained(True, "t", 0.6, doubtful=doubtful)
+        assert judged(replace(named, remains=left)) == doubts
 
 
 def of(diagnosis: Diagnosis, name: str, key: str, value: float) -> Diagnosis:
@@ -167,7 +159,8 @@ def test_a_size_that_no_hardware_has_is_no_name(answer, share, doubts):
 
 
 def test_a_suspect_gives_its_reasons_and_a_model_only_if_chosen(answer):
-    found = suspected(moving(3.0), replace(answer("named"), **rest(0.12)), UNUSED)
+    left = Unexplained(True, "t", 0.6, doubtful=True)
+    found = suspected(moving(3.0), replace(answer("named"), remains=left), UNUSED)
     assert any(line.startswith("Suspected: cogging torque (cogging)") for line in found.statement)
     assert any("is suspected, but 60% of the residual" in line for line in found.statement)
     content = found.to_dict()

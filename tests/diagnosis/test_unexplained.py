@@ -17,7 +17,9 @@ HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the er
 
 def said(share, *named, gap=HALF, turn=TURN, disturbance=0.0, **values):
     """What is unexplained of a residual that one view predicts."""
-    model = FinalModel(named, values, turn, gap.left, gap.before / gap.after, disturbance)
+    model = FinalModel(
+        named, values, turn, gap.after / gap.before, gap.before / gap.after, disturbance
+    )
     return unexplained([share, Share("t", 0.01, 1.0)], model)
 
 
