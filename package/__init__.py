@@ -142,9 +142,16 @@ def run(
         as_choice("kind", kind, KINDS),
         _overrides(overrides),
         chosen,
+        batch=_batch,
     )
     done = run_scenario(path, folder, options)
     return Result(plain(done.result), done.folder)
+
+
+def _batch(*record: Any) -> Any:
+    from bristle.diagnosis.sliding.batch import batch_estimates
+
+    return batch_estimates(*record)
 
 
 def sweep(

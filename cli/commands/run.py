@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -68,13 +68,21 @@ def run(
     if replays:
         _refuse_changes(len(replays) < len(scenarios) or bool(set_) or seed is not None)
         raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
-    options = RunOptions(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
+    changes = tuple(set_ or ())
+    options = RunOptions(int(fmi.value), kind.value, changes, seed, full, timeout, batch)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
         worst = (
             ERROR if None in checked else max(_executed(each, debug) for each in checked if each)
         )
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def batch(*record: Any) -> Any:
+    """Estimate from a whole record; what that takes is imported where a scenario has one."""
+    from bristle.diagnosis.sliding.batch import batch_estimates
+
+    return batch_estimates(*record)
 
 
 def _refuse_changes(asked: bool) -> None:

@@ -32,8 +32,7 @@ from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import NO_LIMIT, Model, own_unit
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
 from bristle.diagnosis.sliding.loop import loop_of
-from bristle.diagnosis.sliding.screen import with_gross_effects
-from bristle.plant.effects import effect as find_effect
+from bristle.diagnosis.sliding.screen import with_position_torques
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, candidates, fitted
 from bristle.records.differences import are_differences
@@ -45,8 +44,6 @@ KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regre
 BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
 ROUGH_PARAMETERS = ("J", "a2", "Fc")
-# torques that position or nothing gives, and that can be most of the input
-POSITION_TORQUES = ("bias", "gravity", "return_spring")
 FRICTION_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
 DIGITS = 3  # of a rough parameter
 # factor by which another pair must explain more than the one that the names propose
@@ -402,8 +399,7 @@ def _sliding(reading: _Reading, regression: Regression) -> SlidingFit | None:
     fit = fit_sliding(SlidingModel(model.friction, (), free, over, dataset.resolution), values)
     if fit is None:
         return None
-    torques = [e for e in POSITION_TORQUES if not (model.linear and find_effect(e).once_per_turn)]
-    return with_gross_effects(fit, torques, dataset.turn)
+    return with_position_torques(fit, dataset.turn, model.linear)
 
 
 def _loop(slides: SlidingFit | None) -> float | None:

@@ -289,9 +289,13 @@ def _within_what_slides(fit: SlidingFit) -> SlidingFit:
 
 
 def fit_beside(
-    fit: SlidingFit, name: str, free: tuple[Free, ...], values: Mapping[str, float]
+    fit: SlidingFit,
+    name: str,
+    free: tuple[Free, ...],
+    values: Mapping[str, float],
+    iterations: int,
 ) -> SlidingFit:
-    """Return a fit with an effect more, after a few steps from these values of its parameters.
+    """Return a fit with an effect more, after some steps from these values of its parameters.
 
     A slow disturbance may stand in for the effect: the steps begin with one that is fast.
 
@@ -301,4 +305,4 @@ def fit_beside(
     model = replace(old, effects=(*old.effects, name), free=(*old.free, *free))
     noise = replace(fit.noise, corner=max(fit.noise.corner, FAST_CORNER))
     inside = {f.name: f.clip(values[f.name]) for f in free}
-    return climb(evaluate(model, {**fit.values, **values, **inside}, noise), SCREENING_ITERATIONS)
+    return climb(evaluate(model, {**fit.values, **values, **inside}, noise), iterations)

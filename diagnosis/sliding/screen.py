@@ -11,12 +11,19 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.free_parameter import Free, free_parameters
-from bristle.diagnosis.sliding.fit import SlidingFit, climb, fit_beside
+from bristle.diagnosis.sliding.fit import (
+    ITERATIONS,
+    SCREENING_ITERATIONS,
+    SlidingFit,
+    fit_beside,
+)
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
 # of the mean torque of the input: stands for the dry friction of a model without any
 NO_FRICTION_SHARE = 0.1
+# torques that position or nothing gives, and that can be most of the input
+POSITION_TORQUES = ("bias", "gravity", "return_spring")
 GROSS_GAIN = 15.0  # nats: least gain of an effect without which a model is far off
 
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
@@ -51,10 +58,14 @@ def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
 
 
 def likeliest_beside(
-    fit: SlidingFit, name: str, starts: Sequence[Start], limits: Limits
+    fit: SlidingFit,
+    name: str,
+    starts: Sequence[Start],
+    limits: Limits,
+    iterations: int = SCREENING_ITERATIONS,
 ) -> tuple[SlidingFit, Start] | None:
-    """Return the likeliest fit with an effect more after a few steps, and the start value that
-    leads there; None if the sliding motion does not show the effect.
+    """Return the likeliest fit with an effect more after some steps, and the start value that leads
+    there; None if the sliding motion does not show the effect.
     """
     effect = find_effect(name)
     defaults = {p.name: p.default for p in effect.parameters} | effect.inactive_values
@@ -63,25 +74,34 @@ def likeliest_beside(
         free = free_parameters(name, start, limits)
         values = {**defaults, **{f"{name}.{k}": v for k, v in start.items()}}
         try:
-            fits.append((fit_beside(fit, name, free, values), start))
+            fits.append((fit_beside(fit, name, free, values, iterations), start))
         except BristleError:
             return None
     return max(fits, key=lambda each: each[0].total, default=None)
 
 
 def with_gross_effects(fit: SlidingFit, names: Sequence[str], turn: float) -> SlidingFit:
-    """Return a fit with those of the named effects that gain much, the one that gains most
-    first.
+    """Return a fit with those of the named effects that gain much, the one that gains most first.
+
+    Each is fitted to the end: a slow disturbance that stood in for a large torque gives way to it
+    only after many steps.
     """
     while left := [name for name in names if name not in fit.model.effects]:
         found, evidence = [], sliding_evidence(fit, turn)
         for name in left:
             derive = find_effect(name).starts
             starts = derive(evidence) if derive else []
-            if (beside := likeliest_beside(fit, name, starts, {})) is not None:
+            beside = likeliest_beside(fit, name, starts, {}, ITERATIONS)
+            if beside is not None:
                 found.append(beside[0])
         best = max(found, key=lambda each: each.total, default=fit)
         if best.total < fit.total + GROSS_GAIN:
             break
-        fit = climb(best)
+        fit = best
     return fit
+
+
+def with_position_torques(fit: SlidingFit, turn: float, linear: bool) -> SlidingFit:
+    """Return a fit with the torques of a position that gain much."""
+    names = [e for e in POSITION_TORQUES if not (linear and find_effect(e).once_per_turn)]
+    return with_gross_effects(fit, names, turn)

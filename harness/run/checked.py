@@ -12,6 +12,7 @@ from bristle.common.errors import suggest
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.bus import Bus, BusTrace
 from bristle.harness.cosim.isolate import run_bus
+from bristle.harness.metrics.batch import Batch
 from bristle.harness.metrics.checks import STATES, check_quantities
 from bristle.harness.metrics.validation import (
     BASELINES,
@@ -37,6 +38,7 @@ class RunOptions:
     seed: int | None = None
     full: bool = False
     timeout: float | None = None  # s that a simulation may take where an FMU comes from elsewhere
+    batch: Batch | None = None  # estimate from a whole record that stands beside the observer's
 
 
 @dataclass

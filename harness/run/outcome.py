@@ -15,6 +15,7 @@ import numpy as np
 from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.bus import Bus, BusTrace
+from bristle.harness.metrics.batch import batch_result
 from bristle.harness.metrics.behaviour import PlantMotion, Quantity, behaviour
 from bristle.harness.metrics.checks import judge, validity_checks, why_not
 from bristle.harness.metrics.estimates import estimates, last_innovation, state_errors
@@ -61,6 +62,10 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             "units": view.column_units(setup),
             "provenance": _provenance(checked),
         }
+    if setup.samples is not None and checked.options.batch is not None:
+        with clock.stage("estimate from the whole record"):
+            tell("whole record", 0, 0)
+            result["batch"] = batch_result(setup.samples, checked.options.batch)
     # second runs, where the scenario asks for them and the first came to its end
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:

@@ -1,0 +1,41 @@
+"""Parameters from a whole record at once, beside those of an observer, which takes it sample by
+sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bristle.common.table import Array
+from bristle.harness.scenario.rig import ANGLE
+from bristle.harness.scenario.samples import Samples
+
+# of input, output, sampling period, whether that is a velocity, sensor step, whether the axis
+# turns: parameters with standard deviations, and the torques that were found beside them
+Batch = Callable[
+    [Array, Array, float, bool, float | None, bool],
+    tuple[Mapping[str, tuple[float, float]], tuple[str, ...]],
+]
+UNITS = {"alpha2": "1/s", "b": "rad/(s2.V)", "Fc": "rad/s2"}  # as the observers have them
+VALID_SHARE = 0.15  # half-width of a 95 % interval over the value, up to which it is valid
+NORMAL_95 = 1.96  # standard deviations of that half-width
+
+
+def batch_result(samples: Samples, estimate: Batch) -> dict[str, dict[str, Any]]:
+    """Return what an estimate from the whole record gives: each parameter with its unit, standard
+    deviation, and whether it is known closely enough to be valid.
+    """
+    velocity = "theta" not in samples.measured
+    y = samples.v if velocity else samples.theta
+    rotary = samples.rig.position == ANGLE
+    found, _ = estimate(samples.u, y, samples.h, velocity, samples.resolution, rotary)
+    return {
+        name: {
+            "unit": samples.rig.unit(UNITS[name]),
+            "value": value,
+            "sd": sd,
+            "valid": bool(NORMAL_95 * sd <= VALID_SHARE * abs(value)),
+        }
+        for name, (value, sd) in found.items()
+    }
