@@ -36,10 +36,12 @@ def batch_estimates(
     rotary : bool
         Whether a turn of the axis repeats its position.
     """
-    u, y = (np.asarray(each[:LARGEST_BATCH], dtype=float) for each in (u, y))
+    u, y = u[:LARGEST_BATCH], y[:LARGEST_BATCH]
     try:
         resolution = resolution or noise_step(y)
-        over = stretches_of([(h * np.arange(len(y)), u, y)], h, velocity, resolution)
+        over = stretches_of(
+            [(h * np.arange(len(y), dtype=np.float64), u, y)], h, velocity, resolution
+        )
         fit = _fitted(over, resolution)
         if fit is None:
             return {}, ()

@@ -39,3 +39,12 @@ def batch_result(samples: Samples, estimate: Batch) -> dict[str, dict[str, Any]]
         }
         for name, (value, sd) in found.items()
     }
+
+
+def known_at_once(result: Mapping[str, Any]) -> list[str]:
+    """Return a line on what the whole record shows and the observer does not."""
+    known = {name: e for name, e in result.get("batch", {}).items() if e["valid"]}
+    if all(result["estimates"].get(name, {}).get("valid") for name in known):
+        return []
+    values = ", ".join(f"{name} {e['value']:.4g} {e['unit']}" for name, e in known.items())
+    return [f"The whole record at once gives {values}; the verdict does not depend on it."]

@@ -15,7 +15,7 @@ import numpy as np
 from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu
 from bristle.harness.cosim.bus import Bus, BusTrace
-from bristle.harness.metrics.batch import batch_result
+from bristle.harness.metrics.batch import batch_result, known_at_once
 from bristle.harness.metrics.behaviour import PlantMotion, Quantity, behaviour
 from bristle.harness.metrics.checks import judge, validity_checks, why_not
 from bristle.harness.metrics.estimates import estimates, last_innovation, state_errors
@@ -84,6 +84,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
         *_trusted(setup),
         *(setup.samples.findings if setup.samples else ()),
         *_judge(result, setup),
+        *known_at_once(result),
     )
     return Outcome(result, view, validated, findings, followed)
 

@@ -568,3 +568,28 @@ def _children_of(temporary: Path) -> list[str]:
         if str(temporary) in line:
             found.append(line)
     return found
+
+
+def test_a_record_is_also_estimated_at_once(inside: Cli, case: Path, tmp_path: Path) -> None:
+    """What stands beside the observer's estimates is near the plant that made the record."""
+    made, scenario = tmp_path / "out" / case.stem, tmp_path / "recorded.toml"
+    inside("run", case, "--out", tmp_path / "out", "--full")
+    true = json.loads((made / "result.json").read_text())["estimates"]
+    scenario.write_text(f"""
+[record]
+file = "{made / "signals.csv"}"
+time = {{ column = "time", unit = "s" }}
+input = {{ column = "u", unit = "V", kind = "voltage" }}
+output = {{ column = "theta", unit = "rad", kind = "position" }}
+[observer]
+method = "rls"
+""")
+    printed = inside("run", scenario, "--out", tmp_path / "out").stdout
+    batch = json.loads((tmp_path / "out/recorded/result.json").read_text())["batch"]
+    for name in ("alpha2", "b", "Fc"):
+        off = batch[name]["value"] - true[name]["true"]
+        assert abs(off) < min(3 * batch[name]["sd"], 0.03 * true[name]["true"])
+        assert batch[name]["valid"]
+        assert f"{name} {batch[name]['value']:.4g}" in printed
+    report = (tmp_path / "out/recorded/report.html").read_text()
+    assert "From the whole record at once" in report
