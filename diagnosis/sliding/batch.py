@@ -17,8 +17,8 @@ from bristle.records.resolution import noise_step
 
 LARGEST_BATCH = 200_000  # samples of a record, from its start, that are taken
 SEARCHED_FACTOR = 1e3  # times the start values: how far parameters may move
-# by their names here: normalised parameters of the observers
-NORMALISED = {"a2": "alpha2", "b": "b", "coulomb.Fc": "Fc"}
+# normalised parameters of the observers by the names that they have here for an inertia of 1
+OF_UNIT_INERTIA = {"a2": "alpha2", "b": "b", "coulomb.Fc": "Fc"}
 
 
 def batch_estimates(
@@ -50,7 +50,7 @@ def batch_estimates(
     except BristleError:  # without a compiler there is no filter
         return {}, ()
     known = fit.deviations()
-    found = {name: (fit.values[own], known[own]) for own, name in NORMALISED.items()}
+    found = {name: (fit.values[own], known[own]) for own, name in OF_UNIT_INERTIA.items()}
     return {name: each for name, each in found.items() if all(map(math.isfinite, each))}, tuple(
         fit.model.effects
     )

@@ -10,6 +10,7 @@ from typing import Any
 from bristle.common.table import Array
 from bristle.harness.scenario.rig import ANGLE
 from bristle.harness.scenario.samples import Samples
+from bristle.model.normalised import NORMALISED
 
 # of input, output, sampling period, whether that is a velocity, sensor step, whether the axis
 # turns: parameters with standard deviations, and the torques that were found beside them
@@ -17,7 +18,6 @@ Batch = Callable[
     [Array, Array, float, bool, float | None, bool],
     tuple[Mapping[str, tuple[float, float]], tuple[str, ...]],
 ]
-UNITS = {"alpha2": "1/s", "b": "rad/(s2.V)", "Fc": "rad/s2"}  # as the observers have them
 VALID_SHARE = 0.15  # half-width of a 95 % interval over the value, up to which it is valid
 NORMAL_95 = 1.96  # standard deviations of that half-width
 
@@ -32,7 +32,7 @@ def batch_result(samples: Samples, estimate: Batch) -> dict[str, dict[str, Any]]
     found, _ = estimate(samples.u, y, samples.h, velocity, samples.resolution, rotary)
     return {
         name: {
-            "unit": samples.rig.unit(UNITS[name]),
+            "unit": samples.rig.unit(NORMALISED[name][0]),
             "value": value,
             "sd": sd,
             "valid": bool(NORMAL_95 * sd <= VALID_SHARE * abs(value)),
