@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from bristle.common.table import Array
+from bristle.fmus.host import Fmu
 from bristle.harness.scenario.rig import ANGLE
 from bristle.harness.scenario.samples import Samples
-from bristle.model.normalised import NORMALISED
 
 # of input, output, sampling period, whether that is a velocity, sensor step, whether the axis
 # turns: parameters with standard deviations, and the torques that were found beside them
@@ -22,9 +22,9 @@ VALID_SHARE = 0.15  # half-width of a 95 % interval over the value, up to which 
 NORMAL_95 = 1.96  # standard deviations of that half-width
 
 
-def batch_result(samples: Samples, estimate: Batch) -> dict[str, dict[str, Any]]:
-    """Return what an estimate from the whole record gives: each parameter with its unit, standard
-    deviation, and whether it is known closely enough to be valid.
+def batch_result(samples: Samples, observer: Fmu, estimate: Batch) -> dict[str, dict[str, Any]]:
+    """Return what an estimate from the whole record gives of what an observer could: each parameter
+    with its unit, standard deviation, and whether it is known closely enough to be valid.
     """
     velocity = "theta" not in samples.measured
     y = samples.v if velocity else samples.theta
@@ -32,12 +32,13 @@ def batch_result(samples: Samples, estimate: Batch) -> dict[str, dict[str, Any]]
     found, _ = estimate(samples.u, y, samples.h, velocity, samples.resolution, rotary)
     return {
         name: {
-            "unit": samples.rig.unit(NORMALISED[name][0]),
+            "unit": samples.rig.unit(observer.unit(f"{name}_hat")),
             "value": value,
             "sd": sd,
             "valid": bool(NORMAL_95 * sd <= VALID_SHARE * abs(value)),
         }
         for name, (value, sd) in found.items()
+        if observer.has(f"{name}_hat", "output")
     }
 
 

@@ -65,7 +65,8 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     if setup.samples is not None and checked.options.batch is not None:
         with clock.stage("estimate from the whole record"):
             tell("whole record", 0, 0)
-            result["batch"] = batch_result(setup.samples, checked.options.batch)
+            observer = setup.fmus["observer"]
+            result["batch"] = batch_result(setup.samples, observer, checked.options.batch)
     # second runs, where the scenario asks for them and the first came to its end
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
