@@ -25,6 +25,7 @@ from bristle.records.record import Record
 # from the strength of an effect to an end of its interval, over the strength, which must be less
 STRENGTH_HALF_WIDTH = 0.5
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
+LEAST_ERRORS = 3.0  # standard errors of the predictive gain: least gain that is no chance
 # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
 SENSOR_VIEWS = ("du",)
 OUTLIERS = "some stretches"  # view of the segments with a large error, in diagnosis.json too
@@ -103,6 +104,7 @@ class Reason(StrEnum):
     # what a criterion is not met by
     TOO_SMALL = "too_small"
     NOT_CONFIRMED = "not_confirmed"
+    UNCERTAIN_GAIN = "uncertain_gain"
     NOT_COMPARED = "not_compared"
     LESS_LIKELY = "less_likely"
     REJECTED = "rejected"
@@ -257,6 +259,7 @@ class Assessment:
     error_reduction: float = 1.0
     # of the log predictive density of all segments, each under parameters fitted without it [nats]
     predictive_gain: float = 0.0
+    gain_error: float = 0.0  # its standard error, by the segments that become less likely [nats]
     # by how much the best candidate is likelier, and the standard error of that [nats]
     deficit: tuple[float, float] = (0.0, 0.0)
 
@@ -273,9 +276,14 @@ class Assessment:
         return self.predictive_gain > self.level
 
     @property
+    def certain(self) -> bool:
+        """True if the losses of some segments are no sign that the gains of others are chance."""
+        return self.predictive_gain >= LEAST_ERRORS * self.gain_error
+
+    @property
     def accepted(self) -> bool:
         """True if the effect meets the criterion."""
-        return self.large_enough and self.confirmed
+        return self.large_enough and self.confirmed and self.certain
 
     @property
     def objection(self) -> Finding | None:
@@ -284,7 +292,7 @@ class Assessment:
             return finding(Reason.TOO_SMALL, error_reduction=self.error_reduction)
         if not self.confirmed:
             return finding(Reason.NOT_CONFIRMED, predictive_gain=self.predictive_gain)
-        return None
+        return None if self.certain else finding(Reason.UNCERTAIN_GAIN, error=self.gain_error)
 
 
 @dataclass(frozen=True)

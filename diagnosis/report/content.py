@@ -186,6 +186,7 @@ def _candidate(c: CandidateEffect) -> dict[str, Any]:
         "note": said(c.reason) if c.reason else "",
         "size": a.error_reduction if a else None,
         "kept": a.predictive_gain if a else None,
+        "kept_error": a.gain_error if a else None,
         "behind": behind,
         "doubt": doubt,
     }

@@ -21,7 +21,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.discretisation import finer_gain
-from bristle.diagnosis.selection.effect_size import fall, predictive_density
+from bristle.diagnosis.selection.effect_size import fall, gain_error, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effects as all_effects
@@ -207,7 +207,7 @@ class ReferenceModel:
         """Return what a model with the effect is worth, at the `level` of chance [nats]."""
         gains = predictive_density(self.held_out, fit) - self.density
         falls = fall(self.squares, squares(fit, self.train), np.abs(gains[self.train]))
-        return Assessment(level, falls, float(gains.sum()))
+        return Assessment(level, falls, float(gains.sum()), gain_error(gains))
 
 
 # -- the best one, and ties ------------------------------------------------------------------------

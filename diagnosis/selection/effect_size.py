@@ -45,6 +45,16 @@ def fall_in_all(before: Array, after: Array) -> float:
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
 
 
+def gain_error(gains: Array) -> float:
+    """Return the standard error of the sum of gains of segments (segments,), by those that lose.
+
+    Chance alone gives either sign alike, so that the losses say how large its gains are too. What
+    an effect gains in few segments, such as a stop that is met once, does not count against it.
+    """
+    losses = np.minimum(gains, 0.0)
+    return float(np.sqrt(2.0 * np.square(losses).sum()))
+
+
 def predictive_density(held_out: Problem, fit: Fit) -> Array:
     """Return the log predictive density of each segment (segments,) [nats], initial states
     integrated out; 0 for others.

@@ -133,9 +133,13 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
             Assessment(20.0, 2.0, 15.0),
             "but does not make segments likelier that its parameters were not fitted to",
         ),
+        (
+            Assessment(20.0, 2.0, 30.0, 12.0),
+            "but makes others so much less likely that its gain may be chance",
+        ),
         (Assessment(20.0, 2.0, 30.0), "but was rejected by the search"),
         (
-            Assessment(20.0, 2.0, 30.0, (9.0, 2.0)),
+            Assessment(20.0, 2.0, 30.0, deficit=(9.0, 2.0)),
             "but explains the residual less well than another effect",
         ),
     ):

@@ -123,6 +123,7 @@ SENTENCES: dict[Reason, str] = {
     # criteria that are not met
     R.TOO_SMALL: "lowers the squared error too little",
     R.NOT_CONFIRMED: "does not make segments likelier that its parameters were not fitted to",
+    R.UNCERTAIN_GAIN: "makes others so much less likely that its gain may be chance",
     R.NOT_COMPARED: (
         "gains far less than another effect, or only with values that are not credible"
     ),
