@@ -25,7 +25,7 @@ from bristle.records.record import Record
 # from the strength of an effect to an end of its interval, over the strength, which must be less
 STRENGTH_HALF_WIDTH = 0.5
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
-LEAST_ERRORS = 3.0  # standard errors of the predictive gain: least gain that is no chance
+LEAST_ERRORS = 4.0  # standard errors of the predictive gain: least gain that is no chance
 # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
 SENSOR_VIEWS = ("du",)
 OUTLIERS = "some stretches"  # view of the segments with a large error, in diagnosis.json too

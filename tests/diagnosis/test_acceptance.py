@@ -86,25 +86,25 @@ def test_the_fall_of_the_error_is_that_where_an_effect_acts():
 
 
 def test_a_gain_of_chance_alone_is_within_its_error():
-    """Of random gains of either sign the sum is within three errors in all but few of many draws; a
+    """Of random gains of either sign the sum is within four errors in all but few of many draws; a
     gain that one segment gives alone has no error.
     """
     rng = np.random.default_rng(1)
     draws = rng.standard_t(4, (4000, 100))
     ratios = np.array([draw.sum() / gain_error(draw) for draw in draws])
     assert np.std(ratios) == pytest.approx(1.0, abs=0.15)
-    assert np.mean(ratios > 3.0) < 0.02
+    assert np.mean(ratios > 4.0) < 0.005
     assert gain_error(np.array([0.0, 644.0, 0.0])) == 0.0
 
 
 @pytest.mark.parametrize(
     ("falls", "predicted", "error", "objection"),
     [
-        (1.3, 30, 9, ""),
+        (1.3, 30, 7, ""),
         (1.3, 19, 0, "likelier that its parameters"),
         (1.1, 3000, 0, "squared error too little"),
         (3.0, -1, 0, "likelier that its parameters"),
-        (3.0, 300, 110, "may be chance"),
+        (3.0, 300, 80, "may be chance"),
     ],
 )
 def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives(
