@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+NORMAL_95 = 1.96  # standard deviations from the middle to the ends of a 95 % interval
 
 
 def rms(error: Array) -> float:

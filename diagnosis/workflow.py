@@ -201,15 +201,19 @@ def _searched(
     held = tuple[Finding, ...]()
     given = records
     options = replace(budget.options, deadline=budget.until(SEARCH_SHARE))
+
+    def searched(case: PreparedCase) -> SearchOutcome:
+        with until(budget.until(COMPARISON_SHARE)):
+            return search(case.dataset, case.base, _reporting(options, tell))
+
     while True:
         prepared = prepare(records, notes_of(given, held))
         if isinstance(prepared, Diagnosis):
             return prepared
-        with until(budget.until(COMPARISON_SHARE)):
-            outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
-            if prepared.otherwise and outcome.in_vain:
-                prepared = prepared.otherwise()
-                outcome = search(prepared.dataset, prepared.base, _reporting(options, tell))
+        outcome = searched(prepared)
+        if prepared.otherwise and outcome.in_vain and not options.late:
+            prepared = prepared.otherwise()
+            outcome = searched(prepared)
         if outcome.input_share is None:
             return prepared, outcome
         records, more = with_input_share(records, outcome.input_share)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,9 +22,25 @@ OF_UNIT_INERTIA = {"a2": "alpha2", "b": "b", "coulomb.Fc": "Fc"}
 
 def batch_estimates(
     u: Array, y: Array, h: float, velocity: bool, resolution: float | None, rotary: bool
-) -> tuple[Mapping[str, tuple[float, float]], tuple[str, ...]]:
-    """Return alpha2, b and Fc [SI, over the inertia], each with its standard deviation, and the
-    effects that were found beside them; none where the record does not slide for long enough.
+) -> dict[str, tuple[float, float]]:
+    """Return alpha2, b and Fc [SI, over the inertia], each with its standard deviation; none where
+    the record does not slide for long enough.
+
+    Parameters are those of `batch_fit`.
+    """
+    fit = batch_fit(u, y, h, velocity, resolution, rotary)
+    if fit is None:
+        return {}
+    known = fit.deviations()
+    found = {name: (fit.values[own], known[own]) for own, name in OF_UNIT_INERTIA.items()}
+    return {name: each for name, each in found.items() if all(map(math.isfinite, each))}
+
+
+def batch_fit(
+    u: Array, y: Array, h: float, velocity: bool, resolution: float | None, rotary: bool
+) -> SlidingFit | None:
+    """Return a servo with an inertia of 1 fitted to a record, beside the torques of its position
+    that gain much; None where too little slides.
 
     Parameters
     ----------
@@ -39,25 +54,17 @@ def batch_estimates(
     u, y = u[:LARGEST_BATCH], y[:LARGEST_BATCH]
     try:
         resolution = resolution or noise_step(y)
-        over = stretches_of(
-            [(h * np.arange(len(y), dtype=np.float64), u, y)], h, velocity, resolution
-        )
+        times = h * np.arange(len(y), dtype=np.float64)
+        over = stretches_of([(times, u, y)], h, velocity, resolution)
         fit = _fitted(over, resolution)
-        if fit is None:
-            return {}, ()
         span = 2 * math.pi if rotary else float(np.ptp(over.theta))
-        fit = with_position_torques(fit, span, not rotary)
+        return fit and with_position_torques(fit, span, not rotary)
     except BristleError:  # without a compiler there is no filter
-        return {}, ()
-    known = fit.deviations()
-    found = {name: (fit.values[own], known[own]) for own, name in OF_UNIT_INERTIA.items()}
-    return {name: each for name, each in found.items() if all(map(math.isfinite, each))}, tuple(
-        fit.model.effects
-    )
+        return None
 
 
 def _fitted(over: Stretches, resolution: float) -> SlidingFit | None:
-    """Return the fit of a servo with an inertia of 1, from a regression on the smoothed motion."""
+    """Return the fit without these torques, from a regression on the smoothed motion."""
     c = over.counted
     if not len(c):
         return None

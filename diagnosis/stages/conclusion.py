@@ -71,7 +71,8 @@ class ErrorsBeforeAndAfter:
         held_out = case.dataset.held_out
         error_fall = fall_in_all(squares(case.base.fit, held_out), squares(final.fit, held_out))
         counted = case.dataset.segments.counted
-        error_left = mean_square(final.fit, counted) / mean_square(case.base.fit, counted)
+        before = mean_square(case.base.fit, counted)
+        error_left = mean_square(final.fit, counted) / before if before > 0 else 1.0
         gap = gap_between(case, final)
         return cls(*localise(case.dataset, case.base, final), gap, error_fall, error_left)
 

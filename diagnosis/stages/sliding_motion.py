@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from bristle.common.metrics import NORMAL_95
 from bristle.diagnosis.answer import Diagnosis, Estimate
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, sliding_fit
@@ -15,8 +16,6 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effects
-
-NORMAL_95 = 1.96  # standard deviations from the middle to the ends of a 95 % interval
 
 Estimates = Mapping[str, Estimate]
 

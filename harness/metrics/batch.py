@@ -7,19 +7,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bristle.common.metrics import NORMAL_95
 from bristle.common.table import Array
 from bristle.fmus.host import Fmu
 from bristle.harness.scenario.rig import ANGLE
 from bristle.harness.scenario.samples import Samples
 
 # of input, output, sampling period, whether that is a velocity, sensor step, whether the axis
-# turns: parameters with standard deviations, and the torques that were found beside them
-Batch = Callable[
-    [Array, Array, float, bool, float | None, bool],
-    tuple[Mapping[str, tuple[float, float]], tuple[str, ...]],
-]
+# turns: parameters with standard deviations
+Batch = Callable[[Array, Array, float, bool, float | None, bool], Mapping[str, tuple[float, float]]]
 VALID_SHARE = 0.15  # half-width of a 95 % interval over the value, up to which it is valid
-NORMAL_95 = 1.96  # standard deviations of that half-width
 
 
 def batch_result(samples: Samples, observer: Fmu, estimate: Batch) -> dict[str, dict[str, Any]]:
@@ -29,7 +26,7 @@ def batch_result(samples: Samples, observer: Fmu, estimate: Batch) -> dict[str, 
     velocity = "theta" not in samples.measured
     y = samples.v if velocity else samples.theta
     rotary = samples.rig.position == ANGLE
-    found, _ = estimate(samples.u, y, samples.h, velocity, samples.resolution, rotary)
+    found = estimate(samples.u, y, samples.h, velocity, samples.resolution, rotary)
     return {
         name: {
             "unit": samples.rig.unit(observer.unit(f"{name}_hat")),

@@ -26,11 +26,11 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
+from bristle.common.metrics import NORMAL_95
 from bristle.common.signals import Array
 from bristle.harness.sweep.store import ERROR_VERDICT, Store
 
 CONFIDENCE = 0.95  # of the intervals of shares
-NORMAL_QUANTILE = 1.96  # standard deviations to either side that a 95 % interval of an estimate has
 SHOWN_RUNS = 400  # points of the maps, each with its row: runs that do not pass first
 MOST_MAPS = 6  # pairs of values that are mapped
 MOST_MESSAGES = 5  # reasons why runs ended that are listed, the most frequent ones
@@ -162,7 +162,7 @@ def statistics(runs: Runs) -> list[dict[str, Any]]:
         # errors where there is a true value, and whether the intervals hold it
         known = np.isfinite(error)
         told = np.isfinite(final) & np.isfinite(true) & np.isfinite(sd)
-        holds = np.abs(final - true)[told] <= NORMAL_QUANTILE * sd[told]
+        holds = np.abs(final - true)[told] <= NORMAL_95 * sd[told]
         # runs in which the observer estimates it at all
         estimated = np.array(
             [value is not None for value in runs.column(f"estimates.{name}.valid")]

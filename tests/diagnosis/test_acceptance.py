@@ -134,6 +134,7 @@ def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name)
         fit, found.level
     )
     assert spoilt.predictive_gain < mine.predictive_gain - 2
+    assert spoilt.gain_error > mine.gain_error
     assert not comparison.assess(plain, 0.0).accepted  # nothing added
 
 

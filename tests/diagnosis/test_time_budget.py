@@ -16,8 +16,9 @@ from bristle.cli import terminal
 from bristle.cli.commands.diagnose import search_options
 from bristle.common.deadline import OutOfTime, check_deadline, until
 from bristle.common.errors import BristleError
-from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis import Model, diagnose, records_from_arrays, workflow
 from bristle.diagnosis.answer import Diagnosis
+from bristle.diagnosis.checks.preparation import prepared_case
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.workflow import SEARCH_SHARE
 
@@ -50,11 +51,17 @@ def test_the_answer_is_the_same_for_any_number_of_jobs(model: Model, measured: A
 
 @pytest.mark.long
 def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
-    model: Model, measured: Any
+    model: Model, measured: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With none left from the start, nothing can be named, and nothing is said to be missing or
-    not.
+    not; nor is a case prepared another way.
     """
+
+    def prepared(*arguments: Any) -> Any:
+        again = "prepared again without time"
+        return replace(prepared_case(*arguments), otherwise=lambda: pytest.fail(again))
+
+    monkeypatch.setattr(workflow, "prepared_case", prepared)
     answer = found(model, measured, SearchOptions(budget=1e-3))
     assert answer.verdict == "not_identifiable"
     [line] = [each for each in answer.findings if "time budget" in each]

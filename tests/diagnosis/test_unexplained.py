@@ -23,6 +23,15 @@ def said(share, *named, gap=HALF, turn=TURN, disturbance=0.0, **values):
     return unexplained([share, Share("t", 0.01, 1.0)], model)
 
 
+def test_what_is_left_casts_doubt_where_it_is_large_beside_the_error_before():
+    """Not an oscillation in time that is large only beside what is left."""
+    small = Gap(20.0, 1.0, 0.1, "rad")
+    assert said(Share("v", 0.5, 0.001), "gravity").doubtful
+    tone = said(Share("tone", 0.5, 0.001), "gravity", gap=small)
+    assert tone.flag
+    assert not tone.doubtful
+
+
 def test_a_certain_and_large_share_is_reported_in_any_view():
     assert said(Share("history", 0.5, 0.001)).flag
     assert said(Share("history", 0.5, 0.001), "gravity").flag
