@@ -17,11 +17,12 @@ from bristle.model.program import Kernel, Program
 from bristle.model.sources import KERNELS
 
 Array = NDArray[np.float64]
+BLOCK = 8192  # elements that are evaluated together: temporaries that stay in the processor's cache
 
 
 def for_arrays(function: ca.Function) -> Callable[[Sequence[Array | float]], list[Array]]:
-    """Return a function of one vector (k,) as one of k numbers or arrays of equal shape, one
-    operation for all of them.
+    """Return a function of one vector (k,) as one of k numbers or arrays of equal length, one
+    operation for many elements.
 
     Some ten times as fast as CasADi's own evaluation, point by point. Divisions by zero give
     infinity or NaN, silently.
@@ -30,11 +31,17 @@ def for_arrays(function: ca.Function) -> Callable[[Sequence[Array | float]], lis
     exec(compile(emit_numpy(function, "evaluated"), f"<{function.name()}>", "exec"), namespace)
 
     def evaluated(v: Sequence[Array | float]) -> list[Array]:
+        inputs = [np.asarray(each, dtype=float)[()] for each in v]
+        length = max((len(x) for x in inputs if x.ndim), default=1)
         with np.errstate(all="ignore"):
-            return [
-                np.asarray(x)
-                for x in namespace["evaluated"]([np.asarray(each, dtype=float)[()] for each in v])
+            blocks = [
+                namespace["evaluated"]([x[first : first + BLOCK] if x.ndim else x for x in inputs])
+                for first in range(0, max(length, 1), BLOCK)
             ]
+        return [
+            np.concatenate(parts) if np.ndim(parts[0]) else np.asarray(parts[0])
+            for parts in zip(*blocks, strict=True)
+        ]
 
     return evaluated
 

@@ -78,15 +78,29 @@ class _Design:
         return at if seen is None else float(self.setup.positions(seen.y)[-1])
 
     def tried(self, given: Input) -> _Trial | None:
-        """Return the first scale of an input that keeps to the limits, and its gain, or None."""
+        """Return the first scale of an input that keeps to the limits, and its gain before what a
+        rival leads itself by, or None.
+        """
         for one in given.scaled:
             responses = self.responses(one)
             if responses is not None:
                 of = dict(zip((rival.name for rival in self.rivals), responses, strict=True))
                 gain = min(lead(of[a.name], b, self.setup) for a, b in self.pairs)
-                gain = max(gain - self.own_lead(one), 0.0)
                 return _Trial(given.motion, one, tuple(responses), gain)
         return None
+
+    def best_of(self, trials: Sequence[_Trial], case: SearchedCase) -> _Trial | None:
+        """Return the trial that gains most, if possible of those after which a name may follow."""
+        best, allowed = None, False
+        for trial in sorted(trials, key=lambda each: -each.gain):
+            # what a rival leads itself by makes no gain larger
+            if best and trial.gain <= (best.gain if allowed else max(best.gain, TIE_NATS)):
+                break
+            trial = replace(trial, gain=max(trial.gain - self.own_lead(trial.given), 0.0))
+            allows = trial.allows_a_name(case)
+            if best is None or (allows, trial.gain) > (allowed, best.gain):
+                best, allowed = trial, allows
+        return best
 
     def own_lead(self, given: Array) -> float:
         """Return by how much a rival leads itself with other values that the records allow: what no
@@ -160,11 +174,7 @@ def design(case: SearchedCase, answer: Diagnosis, options: SearchOptions) -> Des
         peaks = float(np.abs(m.v).max()), float(np.quantile(np.abs(m.a), PEAK_QUANTILE))
         choice = references(usual, motions, peaks, (n, s.h))
     trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
-    ordered = sorted(trials, key=lambda trial: -trial.gain)
-    best = next(
-        (trial for trial in ordered if trial.allows_a_name(case)), ordered[0] if ordered else None
-    )
-    return _described(plan, case, best)
+    return _described(plan, case, plan.best_of(trials, case))
 
 
 def _loop(case: SearchedCase) -> Loop | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft, rfftfreq
+from scipy.fft import rfftfreq
 from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
@@ -50,19 +50,18 @@ def spectrum(
 
     `time` and the torque `rough` are averaged by bins (segments, bins), `clock` is (segments,). The
     powers of segments with different clocks are added, because their phases are unrelated. Each
-    segment is transformed once: a spectrum is linear in it.
+    segment is transformed once, about its own first bin: a spectrum is linear in it.
     """
     step = float(np.median(np.diff(time, axis=1)))
     which, row = np.unique(clock, return_inverse=True)
     first = np.array([time[row == k].min() for k in range(len(which))])
-    place = np.rint((time - first[row, None]) / step).astype(int)
-    length = int(place.max()) + 1
+    begin = time[:, 0] - first[row]
+    length = round(float(begin.max()) / step) + rough.shape[1]
     frequency = rfftfreq(SPECTRUM_PADDING * length, step)
-    inside = (frequency >= TONE_BAND[0]) & (frequency <= TONE_BAND[1])
-
-    even = np.zeros((len(rough), length))
-    np.put_along_axis(even, place, rough, axis=1)
-    lines = np.array([rfft(each, SPECTRUM_PADDING * length)[inside] for each in even])
+    frequency = frequency[(frequency >= TONE_BAND[0]) & (frequency <= TONE_BAND[1])]
+    turn = -2j * np.pi * frequency
+    lines = rough @ np.exp(np.outer(step * np.arange(rough.shape[1]), turn))
+    lines *= np.exp(np.outer(begin, turn))
 
     own = [
         (row == k, part[row == k].copy())
@@ -73,7 +72,7 @@ def spectrum(
     def amplitudes(signs: Array) -> Array:
         return np.asarray(np.sqrt(sum(np.square(signs[..., mine] @ part) for mine, part in own)))
 
-    return np.asarray(frequency[inside]), amplitudes
+    return np.asarray(frequency), amplitudes
 
 
 def _searched(
