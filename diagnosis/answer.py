@@ -117,9 +117,7 @@ class Reason(StrEnum):
     NOTHING_TO_ADD = "nothing_to_add"
     OUT_OF_BUDGET = "out_of_budget"
     UNMET = "unmet"
-    HARMONIC = "harmonic"
     OTHERS_UNFINISHED = "others_unfinished"
-    NUMERICAL = "numerical"
     UNKNOWN_STRENGTH = "unknown_strength"
     ONLY_BOUNDS = "only_bounds"
     # what was found in a view of the residual
@@ -320,7 +318,6 @@ class Round:
     best: str | None = None  # None if no candidate is above the level that chance reaches
     gain: float = 0.0  # of the best one under the noise that it leaves [nats]
     ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
-    finer_gain: float | None = None  # the gain with finer steps of the simulation [nats]
     cut_short: bool = False  # whether the time budget kept it from trying all start values
 
     @property

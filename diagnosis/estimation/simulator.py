@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -146,15 +145,6 @@ class Simulator:
         """Return the same over other segments of the same sampling period and output."""
         law, effects, base, fixed = self._made_from
         return Simulator(law, effects, segments, base, fixed)
-
-    def finer(self) -> Simulator:
-        """Return the same with half the step of dry friction and a tenth of the tolerance."""
-        other, index = copy(self), self._lanes.program.index
-        other._lanes, other._v = self._lanes.twin(), self._v.copy()
-        for name, factor in (("solver.friction_step", 0.5), ("solver.tolerance", 0.1)):
-            if name in index:
-                other._v[index[name]] *= factor
-        return other
 
     def hidden_spread(self, values: Mapping[str, float]) -> Array:
         """Return the prior standard deviations (width - 2,) of the initial states that no sensor

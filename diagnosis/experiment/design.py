@@ -96,11 +96,15 @@ class _Design:
             # what a rival leads itself by makes no gain larger
             if best and trial.gain <= (best.gain if allowed else max(best.gain, TIE_NATS)):
                 break
-            trial = replace(trial, gain=max(trial.gain - self.own_lead(trial.given), 0.0))
-            allows = trial.allows_a_name(case)
-            if best is None or (allows, trial.gain) > (allowed, best.gain):
-                best, allowed = trial, allows
+            net = self.beyond_own_lead(trial)
+            allows = net.allows_a_name(case)
+            if best is None or (allows, net.gain) > (allowed, best.gain):
+                best, allowed = net, allows
         return best
+
+    def beyond_own_lead(self, trial: _Trial) -> _Trial:
+        """Return a trial with what its gain is beyond that of a rival over itself."""
+        return replace(trial, gain=max(trial.gain - self.own_lead(trial.given), 0.0))
 
     def own_lead(self, given: Array) -> float:
         """Return by how much a rival leads itself with other values that the records allow: what no

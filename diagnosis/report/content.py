@@ -171,7 +171,6 @@ def _round(r: Round) -> dict[str, Any]:
         "decision": said(r.decision),
         "gain": r.gain,
         "size": r.assessment.error_reduction,
-        "finer": r.finer_gain,
         "rejected": r.rejected,
     }
 

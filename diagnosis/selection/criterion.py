@@ -20,7 +20,6 @@ from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
 from bristle.diagnosis.selection.candidates import EffectFit
-from bristle.diagnosis.selection.discretisation import finer_gain
 from bristle.diagnosis.selection.effect_size import fall, gain_error, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
@@ -115,7 +114,7 @@ def accept_or_reject(
     compared = TrialRound.of(
         tuple(candidates.values()), null, plain.total, best, best.gain_over(plain)
     )
-    return compared.with_said(ties=ties, finer_gain=finer_gain(problem, plain, best.fit))
+    return compared.with_said(ties=ties)
 
 
 def _with_deficit(best: EffectFit, other: EffectFit) -> EffectFit:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
     NOISE_FIT_ITERATIONS,
     FittedModel,
@@ -17,7 +16,6 @@ from bristle.diagnosis.estimation.simulator import (
     OWN_BRISTLES,
 )
 from bristle.diagnosis.free_parameter import free_parameters
-from bristle.diagnosis.localisation.views import is_form, periods_of
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.criterion import ReferenceModel
 from bristle.diagnosis.selection.start_values import SearchContext
@@ -126,18 +124,6 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
         context.fitted.servo.effects,
     )
     return max(before, other, key=lambda each: each.total)
-
-
-def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: EffectFit) -> bool:
-    """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on
-    the same variables.
-    """
-    assert candidate.fit is not None
-    views = set(find_effect(candidate.name).residual)
-    periods = periods_of(candidate.name, candidate.fit.values, dataset.turn)
-    similar = [name for name in fitted.servo.effects if views & set(find_effect(name).residual)]
-    waves = [periods_of(name, fitted.fit.values, dataset.turn) for name in similar]
-    return any(is_form(periods, wave) for wave in waves if wave is not None)
 
 
 # -- removal ---------------------------------------------------------------------------------------

@@ -39,12 +39,10 @@ from bristle.diagnosis.selection.criterion import (
     accept_or_reject,
     group,
 )
-from bristle.diagnosis.selection.discretisation import numerical
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.refinement import (
     add_effect,
     backward_elimination,
-    is_wave_harmonic,
     refit_shape,
     with_candidate,
 )
@@ -213,13 +211,11 @@ def _decision(context: SearchContext, latest: TrialRound, further: bool) -> Tria
 
 
 def _without_worth(context: SearchContext, latest: TrialRound) -> TrialRound | None:
-    """Return a round whose best candidate does not meet the criterion, or only seems to."""
+    """Return a round whose best candidate does not meet the criterion."""
     assert latest.best is not None
     name, objection = latest.best.name, latest.assessment.objection
     if objection is not None:
         return latest.rejected(finding(Reason.UNMET, effect=name, objection=objection))
-    if is_wave_harmonic(context.dataset, context.fitted, latest.best):
-        return latest.rejected(finding(Reason.HARMONIC, effect=name))
     return None
 
 
@@ -235,15 +231,10 @@ def _beside_rivals(latest: TrialRound) -> TrialRound | None:
 
 
 def _at_limits(latest: TrialRound) -> TrialRound | None:
-    """Return a round whose best candidate gains by the steps of the simulation, or presses against
-    the end of what it can be.
-    """
+    """Return a round whose best candidate presses against the end of what it can be."""
     assert latest.best is not None
     assert latest.best.fit is not None
-    name, gain, finer = latest.best.name, latest.said.gain, latest.said.finer_gain
-    if finer is not None and numerical(gain, finer, latest.level):
-        artefact = finding(Reason.NUMERICAL, effect=name, gain=gain, finer_gain=finer)
-        return latest.rejected(artefact, keep_ties=True)
+    name = latest.best.name
     ends = {
         key: latest.best.fit.values[key]
         for key, gain in pressed_bounds(latest.best.fit, f"{name}.").items()

@@ -36,7 +36,7 @@ from bristle.diagnosis.selection.effect_size import (
     left_out_loss,
     predictive_density,
 )
-from bristle.diagnosis.selection.refinement import add_effect, is_wave_harmonic
+from bristle.diagnosis.selection.refinement import add_effect
 from bristle.diagnosis.selection.start_values import (
     SearchContext,
     SearchOptions,
@@ -184,23 +184,6 @@ def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(
     pull = np.einsum("sbp,sb->sp", x, rest)
     lost = left_out_loss(own, pull, pull.sum(axis=0) - point / sd**2, information)
     np.testing.assert_allclose(at_point - lost, expected, rtol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("has", "name", "periods", "form"),
-    [
-        ("gravity", "cogging", 2.02, True),
-        ("gravity", "cogging", 3.0, True),
-        ("gravity", "cogging", 7.0, False),
-        ("gravity", "position_friction", 2.0, False),
-        ("bias", "cogging", 2.0, False),
-    ],
-)
-def test_a_multiple_of_a_wave_is_part_of_its_form(has, name, periods, form):
-    dataset = SimpleNamespace(turn=2 * np.pi)
-    fitted = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
-    best = SimpleNamespace(name=name, fit=SimpleNamespace(values={f"{name}.periods": periods}))
-    assert is_wave_harmonic(dataset, fitted, best) is form
 
 
 def test_the_search_sees_the_ends_of_the_range(case):

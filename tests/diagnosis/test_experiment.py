@@ -188,10 +188,11 @@ def test_models_that_are_the_same_are_told_apart_by_no_input(
     )
     # where it rests, segments do not show how the bristles begin
     assert lead(responded(bias, u, setup), same, setup) > 20.0
+    plans = [_Design((bias, other), wide, setup) for other in (same, late)]
     gains = [
-        trial.gain
-        for other in (same, late)
-        if (trial := _Design((bias, other), wide, setup).tried(Input("steps", (u,))))
+        plan.beyond_own_lead(trial).gain
+        for plan in plans
+        if (trial := plan.tried(Input("steps", (u,))))
     ]
     assert gains[0] < 1.0 < 30.0 < gains[1]
 

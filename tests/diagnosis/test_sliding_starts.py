@@ -14,7 +14,6 @@ import pytest
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, limits
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise, sliding_fit
-from bristle.diagnosis.selection.discretisation import numerical, steady
 from bristle.diagnosis.selection.start_values import SearchContext, sliding_starts
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect
@@ -77,20 +76,6 @@ def test_limits_follow_the_axis_and_the_records(
     span = float(np.ptp(dataset.motion.theta))
     assert limits(dataset)["cogging.periods"][0] == pytest.approx(4 * np.pi / span)
     assert limits(dataset)["position_friction.periods"][0] == pytest.approx(4 * np.pi / span)
-
-
-def test_a_gain_may_change_a_little_with_the_step() -> None:
-    assert steady(100.0, 85.0)
-    assert not steady(100.0, 70.0)
-
-
-def test_a_gain_is_numerical_if_it_vanishes_with_finer_steps() -> None:
-    assert numerical(100.0, 60.0, 70.0)
-    assert not numerical(100.0, 70.0, 20.0)  # still far above chance
-    assert not numerical(100.0, 130.0, 50.0)  # finer steps show even more
-    assert not numerical(100.0, 85.0, 50.0)
-    assert numerical(100.0, -300.0, 1.0)
-    assert numerical(100.0, 45.0, 1.0)  # far above chance still, but most of it was in the numbers
 
 
 @pytest.mark.parametrize("teeth", [3, 19, 47])

@@ -251,7 +251,6 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     )
     first = diagnose(model, records)
     assert first.effects[0].name == "gravity"
-    assert first.rounds[0].finer_gain == pytest.approx(first.rounds[0].gain, rel=0.2)
     augmented = augment(first)
     assert augmented is not None
     (tmp_path / "augmented.toml").write_text(model_text(augmented.model), encoding="utf-8")

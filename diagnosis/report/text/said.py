@@ -143,11 +143,7 @@ SENTENCES: dict[Reason, str] = {
     R.DOUBT_CANCELLING: "the torques of {effects} cancel each other in these records",
     R.DOUBT_REST: "{share:.0%} of the residual can still be predicted",
     R.UNMET: "'{effect}' is significant, but {objection}",
-    R.HARMONIC: "'{effect}' may only correct the shape of an effect that was added",
     R.OTHERS_UNFINISHED: "'{effect}' is the best, but others were not tried to the end",
-    R.NUMERICAL: (
-        "'{effect}' is a numerical artefact: its gain vanishes with finer steps of the simulation"
-    ),
     R.UNKNOWN_STRENGTH: (
         "'{effect}' is significant, but beside what was found its strength is not known"
     ),
