@@ -41,6 +41,11 @@ class Columns(dict[str, Array]):
         Columns that held timestamps; here they are in s, of one epoch in all files.
     findings : tuple of str
         What was repaired while reading.
+    rate : float or None
+        Sampling rate [Hz] that the file gives apart from its columns.
+    times : dict of str to str
+        Of columns that have a time of their own, as the topics of a log do, the column that holds
+        it.
     """
 
     def __init__(
@@ -57,6 +62,29 @@ class Columns(dict[str, Array]):
         self.units = dict(units or {})
         self.clocks = frozenset(clocks)
         self.findings = tuple(findings)
+        self.rate: float | None = None
+        self.times: dict[str, str] = {}
+
+    def at(self, time: str) -> Columns:
+        """Return the columns at the instants of one time: those of another as they were last known
+        then, NaN before; those without a time of their own as they are.
+        """
+        if time not in self.times.values():
+            return self
+        instants = self[time]
+        columns = {name: self._at(name, instants, time) for name in self}
+        other = {own for own in self.times.values() if own != time}
+        left = {name: x for name, x in columns.items() if name not in other}
+        return Columns(
+            left, self.unusable, units=self.units, clocks=self.clocks, findings=self.findings
+        )
+
+    def _at(self, name: str, instants: Array, time: str) -> Array:
+        own = self.times.get(name, time)
+        if own == time:
+            return self[name]
+        before = np.searchsorted(self[own], instants, side="right") - 1
+        return np.where(before < 0, np.nan, self[name][np.maximum(before, 0)])
 
 
 def must_fit(path: Path, size: float, width: int = 0) -> None:
@@ -107,6 +135,8 @@ def _no_numbers(array: NDArray[np.generic]) -> str:
     """Return what an array holds if it cannot serve as columns; an empty text if it can."""
     if array.dtype.kind not in "fiuM":
         return KINDS.get(array.dtype.kind, "objects")
+    if array.size == 0:
+        return "nothing"
     if array.size == max(array.shape, default=0):
         return ""
     narrow = (
@@ -122,3 +152,12 @@ def in_seconds(stamps: NDArray[np.generic]) -> Array:
     since = stamps.astype("datetime64[ns]")
     seconds: Array = np.where(np.isnat(since), np.nan, since.astype(np.int64) * 1e-9)
     return seconds
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number with a decimal point."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

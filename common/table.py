@@ -1,85 +1,20 @@
-"""Tables of numbers: one reader for all formats of files, and columns converted to SI."""
+"""Columns converted to SI."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from bristle.common.columns import KINDS as KINDS
 from bristle.common.columns import Array as Array
 from bristle.common.columns import Columns as Columns
-from bristle.common.containers import (
-    read_hdf5,
-    read_mat,
-    read_npy,
-    read_npz,
-    read_parquet,
-    read_xlsx,
-)
-from bristle.common.delimited import is_number, read_delimited
+from bristle.common.columns import is_number
 from bristle.common.errors import BristleError, suggest
-from bristle.common.files import check_regular
 from bristle.common.units import parse_unit
 
 # letters of a column name, and column names, that an error message shows at most
 SHOWN_LETTERS, SHOWN_NAMES = 40, 20
-
-
-def read_columns(path: Path) -> Columns:
-    """Return all numeric columns of a file by name, of shape (n,); an empty field of a CSV is NaN.
-
-    Raises
-    ------
-    BristleError
-        If the file cannot be read or is of no known format.
-    """
-    if path.is_dir():
-        raise BristleError(
-            f"record {path}: is a folder; give a file, or the pattern '{path}/*.csv'"
-        )
-    check_regular(path, f"record {path}")
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise BristleError(
-            f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}"
-        )
-    try:
-        columns = reader(path)
-    except BristleError:
-        raise
-    except OSError as error:
-        if error.strerror is None:  # pyarrow's own errors are OSErrors without an error number
-            raise _unreadable(path, error) from None
-        raise BristleError(f"record {path}: {error.strerror}; check the path") from None
-    except Exception as error:  # each format's reader has its own exceptions
-        raise _unreadable(path, error) from None
-    if not columns:
-        held = "".join(f"; '{name}' holds {what}" for name, what in columns.unusable.items())
-        raise BristleError(
-            f"record {path}: no column of numbers{held}; give plain vectors of equal length"
-        )
-    return columns
-
-
-def _unreadable(path: Path, error: Exception) -> BristleError:
-    return BristleError(
-        f"record {path}: cannot be read: {' '.join(str(error).split())}; check the file"
-    )
-
-
-READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys(
-        (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn"), read_delimited
-    ),
-    ".mat": read_mat,
-    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
-    ".npz": read_npz,
-    ".npy": read_npy,
-    ".parquet": read_parquet,
-    **dict.fromkeys((".xlsx", ".xlsm"), read_xlsx),
-}
 
 
 def factor_to(unit: str, scale: str | None, si_unit: str) -> float:

@@ -35,6 +35,7 @@ _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "rev": (2.0 * math.pi, {"rad": 1}),
     "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
     "Hz": (1.0, {"s": -1}),
+    "kHz": (1e3, {"s": -1}),
     "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
     "mN": (1e-3, {"kg": 1, "m": 1, "s": -2}),
     "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),

@@ -12,7 +12,6 @@ from pydantic import Field, ValidationError
 
 from bristle.common.arguments import as_path
 from bristle.common.errors import BristleError, suggest
-from bristle.common.table import READERS
 from bristle.common.toml import first_mistake, mistake, quoted, read_toml
 from bristle.common.units import interval, parse_unit, quantity
 from bristle.model.variables import Parameter
@@ -25,6 +24,7 @@ from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import Wording
+from bristle.records.formats.reading import READERS
 from bristle.records.layout import INPUT_UNITS, Layout, LayoutTable, layout_lines, layout_of
 
 Given = str | int | float | bool

@@ -14,6 +14,7 @@ from bristle.common.table import factor_to
 from bristle.common.unit_names import COUNTS, unit_symbol
 from bristle.records.headings import UNITS, Heading, heading
 from bristle.records.intake import WRAP_SHARE
+from bristle.records.kinematics import NO_MOTION, Motion, motion_in
 from bristle.records.layout import INPUT_UNITS, Column
 
 TURN_COUNTS = 4096  # counts a turn that are assumed where nothing shows them
@@ -46,6 +47,8 @@ class Candidate:
         What had to be assumed, one line each.
     scatter : float
         Of a time: how far its intervals are from their median, on the average and as a share of it.
+    rate : float or None
+        Sampling rate [Hz] in the place of a time.
     """
 
     column: Column
@@ -53,6 +56,7 @@ class Candidate:
     rank: int
     doubts: tuple[str, ...] = ()
     scatter: float = 0.0
+    rate: float | None = None
 
     @property
     def linear(self) -> bool:
@@ -68,10 +72,27 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Files:
-    """The columns that all files have, their headings, and what the user says of them."""
+    """The columns that all files have, their headings, what the user says of them, and what their
+    values say.
+    """
 
     tables: Mapping[Path, Columns]
     units: Mapping[str, str]
+    motion: Motion = NO_MOTION
+
+    @classmethod
+    def of(
+        cls, tables: Mapping[Path, Columns], units: Mapping[str, str], asked: Mapping[str, str]
+    ) -> Files:
+        """Return the columns of tables, all at the instants of one time: of the column that is
+        asked for as time or output, or of the topic that looks most like a servo.
+        """
+        first = next(iter(tables.values()))
+        if first.times:
+            wanted = first.times.get(asked.get("time", asked.get("output", "")))
+            time = wanted or _most_like_a_servo(cls(tables, units), first)
+            tables = {path: table.at(time) for path, table in tables.items()}
+        return cls(tables, units)
 
     @property
     def names(self) -> list[str]:
@@ -96,7 +117,24 @@ class Files:
                     " rpm, N.m, ms or count"
                 )
             return heading(name, symbol)
-        return heading(name, next(iter(self.tables.values())).units.get(name))
+        said = heading(name, next(iter(self.tables.values())).units.get(name))
+        shown = None if said.quantity else self.motion.quantity(name)
+        goal = said.setpoint or name in self.motion.goals
+        return replace(said, quantity=said.quantity or shown, setpoint=goal)
+
+    def moving(self, time: Candidate) -> Files:
+        """Return the same with what the values of the columns say, by a time that was chosen."""
+        table = next(iter(self.tables.values()))
+        columns = {name: table[name] for name in self.names if name != time.column.column}
+        length = len(next(iter(columns.values()), ()))
+        if time.rate:
+            seconds = np.arange(length) / time.rate
+        else:
+            seconds = table[time.column.column] * factor_to(
+                time.column.unit, time.column.scale, "s"
+            )
+        usable = bool(np.isfinite(seconds).all()) and not self.clock(time.column.column)
+        return replace(self, motion=motion_in(seconds, columns)) if usable else self
 
     def clock(self, name: str) -> bool:
         return all(name in table.clocks for table in self.tables.values())
@@ -109,6 +147,20 @@ class Files:
             if len(values) and np.ptp(values) > 0.0 and not self.clock(name):
                 found.append(self.heading(name))
         return found
+
+
+def _most_like_a_servo(files: Files, table: Columns) -> str:
+    """Return the time of the topic that holds a motion and what drives it, the longest of several
+    alike.
+    """
+
+    def rank(time: str) -> tuple[int, int, int]:
+        own = [files.heading(name) for name, its in table.times.items() if its == time]
+        measured = {h.quantity for h in own if not (h.setpoint or h.unwanted)}
+        moves = 2 * ("position" in measured) + ("velocity" in measured)
+        return moves, len(measured & set(INPUT_UNITS)), len(table[time])
+
+    return max(dict.fromkeys(table.times.values()), key=rank)
 
 
 def candidates(
@@ -132,19 +184,25 @@ def candidates(
         raise BristleError(f"{role} '{asked}': {why}; there are: {_listed(names)}")
     make = {"time": _times, "input": _inputs, "output": _outputs}[role]
     found = [each for each in make(files, asked) if each.column.column not in taken]
+    if role == "time" and not found and asked is None:
+        found = _at_own_rate(files)
     if not found:
-        where = next(iter(files.tables))
-        alone = sorted(
-            {name for table in files.tables.values() for name in table} - set(files.names)
-        )
-        more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
-        why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
-        likely = (
-            f"no column is likely to be the {role}{why}; give it with --{role} COLUMN:"
-            f" {_listed(names)}{more}"
-        )
-        raise BristleError(f"record {where}: {likely}")
+        raise _none_found(files, role, asked, names)
     return sorted(found, key=lambda each: (each.rank, each.scatter))
+
+
+def _none_found(files: Files, role: str, asked: str | None, names: Sequence[str]) -> BristleError:
+    """Return why no column can have a role."""
+    if asked and np.ptp(files.values(asked)) == 0.0:
+        return BristleError(f"{role} '{asked}': is constant; give a column that changes")
+    alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
+    more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
+    why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
+    rate = ', or the sampling rate, --rate "200 Hz"' if role == "time" else ""
+    return BristleError(
+        f"record {next(iter(files.tables))}: no column is likely to be the {role}{why}; give it"
+        f" with --{role} COLUMN{rate}: {_listed(names)}{more}"
+    )
 
 
 def _what_a_time_does(files: Files) -> str:
@@ -199,6 +257,19 @@ def _times(files: Files, asked: str | None) -> list[Candidate]:
             doubt = f"no column is called a time; '{name}' rises evenly"
             even.append(replace(candidate, rank=UNKNOWN_RANK, doubts=(doubt, *candidate.doubts)))
     return found or even
+
+
+def at_rate(rate: float, doubts: tuple[str, ...] = ()) -> Candidate:
+    """Return a sampling rate [Hz] in the place of a time."""
+    return Candidate(Column(column="", unit="s"), "time", 0, doubts, rate=rate)
+
+
+def _at_own_rate(files: Files) -> list[Candidate]:
+    """Return the sampling rate that the files give apart from their columns, if it is one."""
+    [rate, *others] = {table.rate for table in files.tables.values()}
+    if rate is None or others:
+        return []
+    return [at_rate(rate, (f"no column is a time; the rate in the file is taken, {rate:.6g} Hz",))]
 
 
 def _rises(values: Array) -> bool:

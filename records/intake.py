@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from bristle.common.arguments import as_paths
 from bristle.common.errors import BristleError
-from bristle.common.table import Array, Columns, read_columns, si_column
+from bristle.common.table import Array, Columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.differences import summed
+from bristle.records.formats.reading import read_columns
 from bristle.records.layout import Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.resolution import common_step
@@ -79,8 +80,7 @@ def read_record(layout: Layout, path: Path | str) -> Record:
     layout : Layout
         Names the columns and their units.
     path : path
-        A file of a format that `bristle.common.table.READERS` lists: text, MAT, HDF5, NPZ, Parquet
-        or XLSX.
+        A file of a format that `bristle.records.formats.reading.READERS` lists, packed or not.
 
     Returns
     -------
@@ -200,11 +200,16 @@ def _must_be_layout(layout: object) -> None:
 
 
 def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
-    found = [
-        si_column(f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit)
+    columns = columns.at(layout.time.column) if layout.time else columns
+    found = {
+        key: si_column(
+            f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit
+        )
         for key, (column, unit) in layout.columns.items()
-    ]
-    raw = Raw(name, str(path), *vectors(str(path), *found))
+    }
+    if layout.rate is not None:
+        found = {"time": np.arange(len(found["output"])) / layout.rate, **found}
+    raw = Raw(name, str(path), *vectors(str(path), *found.values()))
     for line in columns.findings:
         raw.say(line)
     return raw
@@ -369,8 +374,8 @@ def _between(values: Array, good: NDArray[np.bool_], bad: NDArray[np.bool_]) -> 
 
 def _must_be_possible(layout: Layout, raw: Raw) -> None:
     """Refuse values that no rig gives."""
-    units = [unit for _, unit in layout.columns.values()]
-    for key, values, unit in zip(COLUMN_NAMES, raw.columns, units, strict=False):
+    units = {"time": "s"} | {key: unit for key, (_, unit) in layout.columns.items()}
+    for key, values, unit in zip(COLUMN_NAMES, raw.columns, units.values(), strict=False):
         most = float(np.max(np.abs(values)))
         if most > LARGEST_VALUE or 0.0 < most < SMALLEST_VALUE:
             allowed = f"allowed {SMALLEST_VALUE:g} to {LARGEST_VALUE:g}; check its column and unit"

@@ -11,7 +11,7 @@ from typing import Literal
 from bristle.common.errors import BristleError
 from bristle.common.table import factor_to
 from bristle.common.toml import Section, mistake, quoted
-from bristle.common.units import quantity
+from bristle.common.units import parse_unit, quantity
 
 # SI unit of each kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
@@ -27,6 +27,19 @@ class Column(Section):
     """Unit of its values; "1" for counts."""
     scale: str | None = None
     """What one of that unit is worth where the unit does not fit, such as `0.088 deg`."""
+
+
+class TimeTable(Section):
+    """The column of the time, or the rate in its place."""
+
+    column: str | None = None
+    """Name of the column."""
+    unit: str | None = None
+    """Unit of its values."""
+    scale: str | None = None
+    """What one of that unit is worth where the unit does not fit."""
+    rate: str | None = None
+    """Sampling rate such as `200 Hz`, or interval such as `5 ms`, of records without a time."""
 
 
 class InputTable(Column):
@@ -54,8 +67,8 @@ class OutputTable(Column):
 class LayoutTable(Section):
     """The three tables [time], [input] and [output]."""
 
-    time: Column
-    """Column of the time."""
+    time: TimeTable
+    """Column of the time, or the sampling rate of records without one."""
     input: InputTable
     """Column of the input, held from each sample to the next."""
     output: OutputTable
@@ -70,7 +83,9 @@ class Layout:
     Attributes
     ----------
     time, input, output : Column
-        Where the record holds them.
+        Where the record holds them; no time is None.
+    rate : float or None
+        Sampling rate [Hz] of records without a time.
     input_kind : {"torque", "force", "voltage", "current"}
         What the input is.
     output_kind : {"position", "velocity"}
@@ -85,7 +100,8 @@ class Layout:
         Whether the column of the output holds the differences of a position, as a velocity.
     """
 
-    time: Column
+    time: Column | None = None
+    rate: float | None = None
     input: Column
     input_kind: str
     output: Column
@@ -107,10 +123,12 @@ class Layout:
 
     @property
     def columns(self) -> dict[str, tuple[Column, str]]:
-        """Column and SI unit of time, input, output and, if recorded besides, velocity."""
+        """Column and SI unit of time, input, output and, if recorded besides, velocity; no time
+        where there is none.
+        """
         read = _output_unit("velocity" if self.differences else self.output_kind, self.linear)
-        found = {
-            "time": (self.time, "s"),
+        found = {} if self.time is None else {"time": (self.time, "s")}
+        found |= {
             "input": (self.input, self.input_unit),
             "output": (self.output, read),
         }
@@ -146,7 +164,8 @@ def layout_of(
         said = "the step of the position follows from the velocities; leave it out"
         raise mistake(where, f"{prefix}output.resolution", table.output.resolution, said)
     layout = Layout(
-        time=_column(table.time),
+        time=_time(table.time, where, prefix),
+        rate=_rate(table.time, where, prefix),
         input=_column(table.input),
         input_kind=table.input.kind,
         output=_column(table.output),
@@ -182,6 +201,41 @@ def layout_of(
 def _column(table: Column) -> Column:
     """Return a column without what the tables of the input and the output say besides."""
     return Column(column=table.column, unit=table.unit, scale=table.scale)
+
+
+def _time(table: TimeTable, where: Path | str, prefix: str) -> Column | None:
+    """Return the column of the time; None where a rate stands in its place."""
+    if table.rate is not None:
+        for key in ("column", "unit", "scale"):
+            if (value := getattr(table, key)) is not None:
+                said = "is given beside rate; remove one of them"
+                raise mistake(where, f"{prefix}time.{key}", value, said)
+        return None
+    if table.column is None or table.unit is None:
+        lacking = "column" if table.column is None else "unit"
+        said = f'[{prefix}time] lacks it; write column and unit, or rate = "200 Hz" without a time'
+        raise mistake(where, f"{prefix}time.{lacking}", None, said)
+    return Column(column=table.column, unit=table.unit, scale=table.scale)
+
+
+def _rate(table: TimeTable, where: Path | str, prefix: str) -> float | None:
+    """Return the sampling rate [Hz] in the place of a time."""
+    if table.rate is None:
+        return None
+    try:
+        return rate_of(table.rate)
+    except BristleError as error:
+        raise mistake(where, f"{prefix}time.rate", table.rate, str(error)) from None
+
+
+def rate_of(given: str) -> float:
+    """Return a sampling rate [Hz] that is given as one, ``200 Hz``, or as an interval, ``5 ms``."""
+    unit = given.strip().partition(" ")[2].strip()
+    interval = bool(unit) and parse_unit(unit).exponents == parse_unit("s").exponents
+    value = quantity(given, "s" if interval else "Hz")
+    if value <= 0.0:
+        raise BristleError("must be above 0")
+    return 1.0 / value if interval else value
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
@@ -235,7 +289,8 @@ def _resolution(out: OutputTable, where: Path | str, prefix: str, linear: bool) 
 # -- and back --------------------------------------------------------------------------------------
 def layout_lines(layout: Layout) -> list[str]:
     """Return the lines of a TOML file that read back as this layout."""
-    lines = ["[time]", *_column_lines(layout.time)]
+    time = [f'rate = "{layout.rate!r} Hz"'] if layout.time is None else _column_lines(layout.time)
+    lines = ["[time]", *time]
     lines += ["", "[input]", *_column_lines(layout.input), f"kind = {quoted(layout.input_kind)}"]
     kind = "velocity" if layout.differences else layout.output_kind
     lines += ["", "[output]", *_column_lines(layout.output), f"kind = {quoted(kind)}"]

@@ -36,6 +36,15 @@ def init(
     unit: Annotated[
         list[str] | None, typer.Option(help="unit of a column", metavar="COLUMN=UNIT")
     ] = None,
+    rate: Annotated[
+        str | None,
+        typer.Option(
+            help="sampling rate, or interval, of files without a time", metavar="'200 Hz'"
+        ),
+    ] = None,
+    list_: Annotated[
+        bool, typer.Option("--list", help="print what the files hold, and write nothing")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="replace MODEL.toml if it exists")] = False,
     debug: DebugOption = False,
 ) -> None:
@@ -44,11 +53,18 @@ def init(
     """
     from bristle.cli.files import pairs
     from bristle.diagnosis.init.proposal import propose
+    from bristle.diagnosis.report.columns import listed
     from bristle.diagnosis.report.proposed_model import next_command, summary, write_model
 
     files = files_of(data)
+    if list_:
+        print("\n".join(listed(files)))
+        return
     found = propose(
-        files, {"time": time, "input": input_, "output": output}, pairs("--unit", unit or [])
+        files,
+        {"time": time, "input": input_, "output": output},
+        pairs("--unit", unit or []),
+        rate,
     )
     write_model(found, out, force)
     for line in summary(found):

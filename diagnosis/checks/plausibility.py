@@ -23,6 +23,7 @@ from bristle.diagnosis.checks.torque_regression import (
     regression_rows,
 )
 from bristle.diagnosis.modelfile import Model
+from bristle.records.layout import Column
 from bristle.records.record import Record
 
 REGRESSION_NAMES = ("J", "a2", "Fc")  # what the regression estimates
@@ -259,7 +260,8 @@ def _wrong_factor(
         name: math.exp(x) for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True) if used
     }
     kinds = {"input": model.input_kind, "output": model.output_kind, "time": "time"}
-    column = {"input": model.input, "output": model.output, "time": model.time}[cause]
+    time = model.time or Column(column="rate", unit="Hz")
+    column = {"input": model.input, "output": model.output, "time": time}[cause]
     return finding(
         Reason.WRONG_FACTOR,
         what=kinds[cause],

@@ -259,4 +259,5 @@ def _headings(model: Layout, loop: Loop | None = None) -> tuple[str, str]:
     """Return the columns of the file, with units: as the records name them, or a reference."""
     column, _ = _column(model, loop)
     name = without_unit(column.column) if loop is None else REFERENCE
-    return f"{without_unit(model.time.column)} [s]", f"{name} [{column.unit}]"
+    time = without_unit(model.time.column) if model.time else "time"
+    return f"{time} [s]", f"{name} [{column.unit}]"

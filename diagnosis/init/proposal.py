@@ -14,7 +14,7 @@ import numpy as np
 
 from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
-from bristle.common.table import Array, read_columns
+from bristle.common.table import Array
 from bristle.common.units import interval
 from bristle.diagnosis.answer import Finding, Line, Proposal, Reason, Rough, finding
 from bristle.diagnosis.checks.excitation import excitation
@@ -34,10 +34,11 @@ from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
 from bristle.diagnosis.sliding.loop import loop_of
 from bristle.diagnosis.sliding.screen import with_position_torques
 from bristle.plant.servo import A2, J
-from bristle.records.choice import Candidate, Files, candidates, fitted
+from bristle.records.choice import Candidate, Files, at_rate, candidates, fitted
 from bristle.records.differences import are_differences
+from bristle.records.formats.reading import read_columns
 from bristle.records.intake import distinct_files, records_of_tables
-from bristle.records.layout import Layout, LayoutTable, layout_of
+from bristle.records.layout import Layout, LayoutTable, layout_of, rate_of
 from bristle.records.record import Record
 
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
@@ -83,6 +84,7 @@ def propose(
     paths: Path | str | Sequence[Path | str],
     columns: Mapping[str, str | None] | None = None,
     units: Mapping[str, str] | None = None,
+    rate: str | None = None,
 ) -> Proposal:
     """Propose a model file from measured files.
 
@@ -94,6 +96,8 @@ def propose(
         Columns that the user wants as "time", "input" or "output".
     units : mapping of str to str, optional
         Units of columns, by the name of the column.
+    rate : str, optional
+        Sampling rate of files without a time, ``200 Hz``, or interval, ``5 ms``.
 
     Raises
     ------
@@ -103,14 +107,15 @@ def propose(
     listed = distinct_files(paths)
     asked = {role: name for role, name in (columns or {}).items() if name is not None}
     tables = {path: read_columns(path) for path in listed}
-    files = Files(tables, dict(units or {}))
+    files = Files.of(tables, dict(units or {}), asked)
+    tables = dict(files.tables)
     if unknown := [name for name in files.units if name not in files.names]:
         raise BristleError(
             f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
             f" {', '.join(files.names[:20])}"
         )
     # the reading of the columns that a servo explains best, and rough parameters
-    times, inputs, outputs = _candidates_of(files, asked)
+    times, inputs, outputs = _candidates_of(files, asked, _rate(rate))
     best, doubts = _best(tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
     regression = _regression(best)
@@ -145,10 +150,20 @@ def propose(
     )
 
 
-def _candidates_of(files: Files, asked: Mapping[str, str]) -> list[list[Candidate]]:
+def _rate(given: str | None) -> float | None:
+    """Return a sampling rate [Hz] that the user gives."""
+    try:
+        return None if given is None else rate_of(given)
+    except BristleError as error:
+        raise BristleError(f"rate '{given}': {error}") from None
+
+
+def _candidates_of(
+    files: Files, asked: Mapping[str, str], rate: float | None
+) -> list[list[Candidate]]:
     """Return the candidates of time, input and output, the best first; a column has one role."""
-    times = candidates(files, "time", asked.get("time"))
-    taken = {**asked, "time": times[0].column.column}
+    times = [at_rate(rate)] if rate else candidates(files, "time", asked.get("time"))
+    taken, files = {**asked, "time": times[0].column.column}, files.moving(times[0])
 
     def of(role: str) -> list[Candidate]:
         others = [name for other, name in taken.items() if other != role]
@@ -238,6 +253,8 @@ def _readings(
     pairs = [
         (u, y) for u, y in product(inputs, outputs) if not same(u.column.column, y.column.column)
     ]
+    # of an arm, those of one joint first
+    pairs.sort(key=lambda pair: _joint(pair[0]) != _joint(pair[1]))
     for u, y in pairs[:MOST_PAIRS]:
         try:
             readings.append(_reading(tables, time, u, y))
@@ -249,6 +266,14 @@ def _readings(
             f"'{name}' is the only column for input and output; name the columns of both"
         )
     return sorted(readings, key=lambda each: -each.best)
+
+
+def _joint(each: Candidate) -> str:
+    """Return the end of a column's name, which is that of the joint in the log of an arm."""
+    name = each.column.column
+    return (
+        name[name.index("[") :] if name.endswith("]") and "[" in name else name.rpartition(".")[2]
+    )
 
 
 def _same_quantity(tables: Mapping[Path, Columns]) -> Callable[[str, str], bool]:
@@ -290,7 +315,7 @@ def _reading(
 
 def _layout(time: Candidate, u: Candidate, y: Candidate) -> Layout:
     tree = {
-        "time": time.column.model_dump(),
+        "time": {"rate": f"{time.rate!r} Hz"} if time.rate else time.column.model_dump(),
         "input": u.column.model_dump() | {"kind": u.kind},
         "output": y.column.model_dump() | {"kind": y.kind},
     }

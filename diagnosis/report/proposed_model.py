@@ -127,6 +127,8 @@ def _with(line: str, comment: str) -> str:
 
 
 def _declaration(candidate: Candidate) -> list[str]:
+    if candidate.rate:
+        return [f'rate = "{candidate.rate!r} Hz"']
     column = candidate.column
     lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
     if column.scale is not None:
@@ -199,5 +201,7 @@ def _or(proposal: Proposal, role: str) -> str:
 
 
 def _of(candidate: Candidate) -> str:
+    if candidate.rate:
+        return f"no column, {candidate.rate:.6g} Hz"
     column = candidate.column
     return f"'{column.column}' in {column.unit}" + (f" x {column.scale}" if column.scale else "")

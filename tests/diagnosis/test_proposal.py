@@ -241,7 +241,7 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
             "a,b,c",
             lambda t, u, y: (u, y, u + y),
             {},
-            "no column is likely to be the time; give it with --time COLUMN: a, b, c",
+            "no column is likely to be the time; give it with --time COLUMN, or the sampling rate",
         ),
         (
             "t,torque,angle",
@@ -294,6 +294,53 @@ def test_where_nothing_can_be_proposed(header, change, asked, words, tmp_path):
         propose(plain(tmp_path, header, change or (lambda *columns: columns)), asked)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_columns_without_names_are_told_by_their_motion(tmp_path):
+    """A velocity is the derivative of a position, and no input."""
+
+    def unnamed(t, u, y):
+        return t, y, np.gradient(y, 1e-3), u
+
+    path = plain(tmp_path, "", unnamed)
+    path.write_text("\n".join(path.read_text().splitlines()[1:]))
+    found = propose(path)
+    assert [found.time.column.column, found.input.column.column] == ["column 1", "column 4"]
+    assert (found.output.column.column, found.output.kind) == ("column 2", "position")
+    assert found.rough["J"].value == pytest.approx(propose(plain(tmp_path)).rough["J"].value)
+
+
+def test_a_goal_is_neither_input_nor_output(tmp_path):
+    def commanded(t, u, y):
+        ahead = np.interp(t + 0.02, t, y)
+        return t, ahead, y, np.gradient(y, 1e-3), np.gradient(ahead, 1e-3), u
+
+    header = "time,s.set_point,s.process_value,s.process_value_dot,s.commanded_velocity,s.effort"
+    found = propose(plain(tmp_path, header, commanded))
+    assert found.output.column.column == "s.process_value"
+    assert found.input.column.column == "s.effort"
+
+
+@pytest.mark.parametrize("rate", ["1 kHz", "1 ms", None], ids=["rate", "interval", "in the file"])
+def test_a_rate_stands_for_a_time(rate, tmp_path):
+    path = plain(tmp_path, "tau,q", lambda t, u, y: (u, y))
+    if rate is None:
+        path.write_text(f"# fs = 1 kHz\n{path.read_text()}")
+    found = propose(path, rate=rate)
+    write_model(found, tmp_path / "model.toml")
+    model = load_model(tmp_path / "model.toml")
+    assert (model.time, model.rate) == (None, pytest.approx(1e3))
+    [record] = load_records(model, [path])
+    assert record.h == pytest.approx(1e-3)
+    assert found.rough == propose(plain(tmp_path)).rough
+
+
+def test_no_time_says_how_to_give_the_rate(tmp_path):
+    path = plain(tmp_path, "tau,q", lambda t, u, y: (u, y))
+    with pytest.raises(BristleError, match='or the sampling rate, --rate "200 Hz"'):
+        propose(path)
+    with pytest.raises(BristleError, match="rate '5': '5' has no unit"):
+        propose(path, rate="5")
 
 
 def test_units_of_no_column_and_no_unit(tmp_path):

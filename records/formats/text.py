@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bristle.common.clocks import is_stamp, seconds
-from bristle.common.columns import Array, Columns, must_fit
+from bristle.common.columns import Array, Columns, is_number, must_fit
 from bristle.common.errors import BristleError
 from bristle.common.unit_names import unit_symbol
+from bristle.records.formats.rate import rate_in
+from bristle.records.formats.timestamps import is_stamp, seconds
 
 # lines: from the first ones the separator, the header and the columns of numbers are found
 SNIFFED_LINES = 500
@@ -31,6 +32,7 @@ _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?$")
 _BRACKETED = re.compile(r"[\[(].*[\])]$")
 # of a time, in a row of units: hh:mm:ss.fff
 _CLOCK_FORMAT = re.compile(r"(?=.*h)(?=.*m)[ymdhsfzt:.,/ -]+$", re.IGNORECASE)
+_UNIT_AT_END = re.compile(r"(?:\s*[\[(][^\])]*[\])])?$")
 _WORD_WITH_UNIT = re.compile(r"\S+(?:\s?\[[^\]]*\]|\s?\([^)]*\))?")
 Rows = Sequence[Sequence[str]]
 
@@ -54,6 +56,9 @@ def read_delimited(path: Path) -> Columns:
         )
     sample = lines[:SNIFFED_LINES]
     mark = _separator(sample)
+    if mark != ";":  # some end their lines with it, besides
+        lines = [line.rstrip("; ") for line in lines]
+        sample = lines[:SNIFFED_LINES]
     split = list(_split(sample, mark))
     must_fit(path, 0, max(map(len, split)))
     heading = _heading(path, split, mark, sample)
@@ -62,11 +67,12 @@ def read_delimited(path: Path) -> Columns:
     )
     table = _fast(lines[heading.first :], mark, comma)
     if table.shape[1] == len(heading.names):
-        return Columns(
-            {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(heading.names)},
-            units=heading.units,
-        )
-    return _columns(path, list(_split(lines, mark)), heading)
+        named = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(heading.names)}
+        columns = Columns(named, units=heading.units)
+    else:
+        columns = _columns(path, list(_split(lines, mark)), heading)
+    columns.rate = rate_in(lines[: heading.first])
+    return columns
 
 
 def read_rows(path: Path, rows: Rows) -> Columns:
@@ -109,15 +115,6 @@ def _number(text: str) -> float:
     """Return a number with a decimal point or comma; raise ValueError if it is none."""
     text = text.strip()
     return float(text.replace(",", ".", 1)) if _COMMA.match(text) else float(text)
-
-
-def is_number(text: str) -> bool:
-    """Return whether a text is a number with a decimal point."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _usable(text: str) -> bool:
@@ -165,8 +162,8 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
         raise BristleError(
             f"record {path}: no data below the line of column names; write numbers there"
         )
-    above = [k for k in filled if k < first]
-    header, units = _header(rows, above, mark, lines, width) if above else ([""] * width, [])
+    above, first = _above(rows, [k for k in filled if k <= first])
+    header, units = _header(rows, above, mark, lines, width)
     # a separator at the end of each line makes a column without a name
     spare = all(not row[-1].strip() for row in below if len(row) == width)
     if above and not spare and len(rows[above[-1]]) == width:  # the last columns have no name
@@ -176,8 +173,18 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
             f"record {path}: line {first + 1} has {width} values, the header {len(header)}; correct"
             " that line"
         )
-    names = _names(path, header)
+    names = _names(header)
     return _Heading(names, dict(filter(all, zip(names, units, strict=False))), first)
+
+
+def _above(rows: Rows, places: list[int]) -> tuple[list[int], int]:
+    """Return the places of the rows above the numbers, and the first of the numbers: samples
+    without a value are some, too.
+    """
+    *above, first = places
+    while above and all(map(_blank, rows[above[-1]])):
+        first = above.pop()
+    return above, first
 
 
 def _filled(rows: Rows, first: int) -> list[int]:
@@ -185,13 +192,14 @@ def _filled(rows: Rows, first: int) -> list[int]:
     return [k for k in range(first, len(rows)) if any(map(str.strip, rows[k]))]
 
 
-def _names(path: Path, header: Sequence[str]) -> list[str]:
-    """Return the names of all columns, of which none is there twice."""
+def _names(header: Sequence[str]) -> list[str]:
+    """Return the names of all columns; those that are there twice are numbered, ``u #1 [V]``."""
     names = [name or f"column {k}" for k, name in enumerate(header, start=1)]
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise BristleError(
-            f"record {path}: column '{twice[0]}' is there twice; give each column its own name"
-        )
+    count, seen = Counter(names), Counter[str]()
+    for k, name in enumerate(names):
+        if count[name] > 1:
+            seen[name] += 1
+            names[k] = _UNIT_AT_END.sub(f" #{seen[name]}\\g<0>", name, count=1)
     return names
 
 
@@ -209,6 +217,8 @@ def _header(
     rows: Rows, above: Sequence[int], mark: str, lines: Sequence[str], width: int
 ) -> tuple[list[str], list[str]]:
     """Return (names, units) of the rows above the numbers; no names for what is at most a title."""
+    if not above:
+        return [""] * width, []
     last = above[-1]
     header = _fields(rows, last, mark, lines, width)
     remark = rows[last][0].startswith(tuple(REMARK))

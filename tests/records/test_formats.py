@@ -1,22 +1,29 @@
 """Tables: all formats give the same numbers, fast, and a bad file is one line that says where."""
 
+import bz2
+import gzip
+import json
+import lzma
 import os
 import sys
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
 
-from bristle.common import delimited
 from bristle.common.columns import LARGEST_CONTENT, MOST_COLUMNS
-from bristle.common.delimited import read_rows
 from bristle.common.errors import BristleError
-from bristle.common.table import READERS, factor_to, read_columns, si_column
+from bristle.common.table import factor_to, si_column
+from bristle.records.formats import text as delimited
+from bristle.records.formats.reading import READERS, read_columns
+from bristle.records.formats.text import read_rows
 
 T = np.arange(300) * 1e-3
 TABLE = {"t": T, "u": np.sin(3 * T) / 3, "theta": np.cos(T) * 1e-7}
 
 
+LOGS = (".mcap", ".bag", ".db3", ".tdms", ".mf4", ".mdf", ".ulg", ".wpilog")  # test_logs.py
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn")
 
 
@@ -39,6 +46,14 @@ def write(path):
         from scipy.io import savemat
 
         savemat(path, {name: values[:, None] for name, values in TABLE.items()} | {"word": "text"})
+    elif path.suffix == ".json":
+        path.write_text(
+            json.dumps({name: x.tolist() for name, x in TABLE.items()} | {"word": "text"})
+        )
+    elif path.suffix in (".jsonl", ".ndjson"):
+        rows = zip(*(x.tolist() for x in TABLE.values()), strict=True)
+        lines = [json.dumps(dict(zip(TABLE, row, strict=True)) | {"word": "text"}) for row in rows]
+        path.write_text("\n".join(lines) + "\n")
     elif path.suffix in (".h5", ".hdf5"):
         import h5py
 
@@ -63,7 +78,7 @@ def write(path):
     return path
 
 
-@pytest.mark.parametrize("suffix", list(READERS))
+@pytest.mark.parametrize("suffix", [each for each in READERS if each not in LOGS])
 def test_all_formats_give_the_same_numbers(suffix, tmp_path):
     columns = read_columns(write(tmp_path / f"record{suffix}"))
     names = {name: f"array[:, {k}]" if suffix == ".npy" else name for k, name in enumerate(TABLE)}
@@ -117,6 +132,115 @@ def test_what_is_not_there_and_what_is_no_file(suffix, tmp_path):
         read_columns(tmp_path / f"folder{suffix}")
 
 
+@pytest.mark.parametrize("pack", [gzip.open, bz2.open, lzma.open], ids=lambda f: f.__module__)
+def test_a_packed_file_is_read_as_what_it_holds(pack, tmp_path):
+    plain = write(tmp_path / "record.csv")
+    packed = (
+        tmp_path / f"record.csv.{ {'gzip': 'gz', 'bz2': 'bz2', 'lzma': 'xz'}[pack.__module__] }"
+    )
+    with pack(packed, "wb") as stream:
+        stream.write(plain.read_bytes())
+    np.testing.assert_array_equal(read_columns(packed)["u"], TABLE["u"])
+
+
+def test_an_archive_holds_one_record(message, tmp_path):
+    path = tmp_path / "record.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(write(tmp_path / "record.npz"), "logs/record.npz")
+        archive.writestr("readme.md", "no record")
+    np.testing.assert_array_equal(read_columns(path)["u"], TABLE["u"])
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("other.csv", "t,u\n0,1\n")
+    said = message(lambda: read_columns(path))
+    assert "holds 2 files of a known format, allowed 1 (logs/record.npz, other.csv)" in said
+
+
+def test_an_error_in_a_packed_file_names_the_file(message, tmp_path):
+    with gzip.open(tmp_path / "bad.csv.gz", "wt") as stream:
+        stream.write("t,u\non,off\n")
+    said = message(lambda: read_columns(tmp_path / "bad.csv.gz"))
+    assert said.startswith(f"record {tmp_path / 'bad.csv.gz'}: no data below")
+
+
+def test_columns_of_one_name_are_numbered(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("t,unused [V],unused [V],u,u\n0,1,2,3,4\n1,1,2,3,4\n")
+    assert list(read_columns(path)) == ["t", "unused #1 [V]", "unused #2 [V]", "u #1", "u #2"]
+
+
+def test_rows_without_data_are_left_out_and_said(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("t,u\nnan,nan\n1,0\n2,0\n3,5\n0,0\n0,0\n0,0\n")
+    columns = read_columns(path)
+    assert columns["t"].tolist() == [1.0, 2.0, 3.0]
+    assert columns.findings == ("rows without data: 1 at the start and 3 at the end; left out",)
+
+
+def test_a_single_row_of_zeros_is_a_sample(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("u,theta\n1,2\n0,0\n")
+    assert read_columns(path)["u"].tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("line", "rate"),
+    [
+        ("# fs = 200 Hz", 200.0),
+        ("Sampling time interval(ms),5", 200.0),
+        ("Sample rate (kHz);2", 2000.0),
+        ("SampleRate=1e3", 1000.0),
+        ("dt: 0.5 ms", 2000.0),
+        ("Interval,0.005,Interval,0.005", 200.0),
+        ("Number of sampling data,4000", None),
+        ("Time 12:33:01", None),
+        ("rate = 0 Hz", None),
+        ("interval = 5 kg", None),
+    ],
+)
+def test_a_rate_above_the_numbers(line, rate, tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text(f"{line}\ntau,q\n1,2\n3,4\n")
+    assert read_columns(path).rate == (rate if rate is None else pytest.approx(rate))
+
+
+def test_a_rate_and_named_channels_in_a_mat_file(tmp_path):
+    from scipy.io import savemat
+
+    tree = {"OutputData": TABLE["theta"], "InputData": TABLE["u"], "Ts": 0.005}
+    names = {
+        f"{which}Name": np.array([name], object)
+        for which, name in (("Input", "Torque"), ("Output", "Angle"))
+    }
+    savemat(tmp_path / "r.mat", {"data": tree | names})
+    columns = read_columns(tmp_path / "r.mat")
+    assert columns.rate == pytest.approx(200.0)
+    np.testing.assert_array_equal(columns["data.Torque"], TABLE["u"])
+    np.testing.assert_array_equal(columns["data.Angle"], TABLE["theta"])
+
+
+def test_json_of_samples_within_other_data(tmp_path):
+    path = tmp_path / "log.json"
+    samples = [{"t": k, "joint": {"q": 2.0 * k}, "list": [k, None], "on": True} for k in range(3)]
+    path.write_text(json.dumps({"motor": "x", "mass": 0.5, "entries": samples}))
+    columns = read_columns(path)
+    assert {name: x.tolist() for name, x in columns.items() if name != "list[1]"} == {
+        "t": [0.0, 1.0, 2.0],
+        "joint.q": [0.0, 2.0, 4.0],
+        "list[0]": [0.0, 1.0, 2.0],
+    }
+    assert columns.unusable["on"] == "booleans"
+
+
+def test_lines_of_json_that_break_off(message, tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text('{"t": 0, "u": 1}\n{"t": 1, "u": 2}\n{"t": 2, "u"')
+    columns = read_columns(path)
+    assert columns["u"].tolist() == [1.0, 2.0]
+    assert columns.findings == ("the last line breaks off; left out",)
+    path.write_text('{"t": 0}\n{"t"\n{"t": 2}\n')
+    assert "line 2 is no JSON" in message(lambda: read_columns(path))
+
+
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(BristleError, match="pipe or device"):
@@ -151,6 +275,7 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
 
 def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path, monkeypatch, message):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "r.parquet").touch()
     said = message(lambda: read_columns(tmp_path / "r.parquet"))
     assert said.endswith(
         "r.parquet: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV"
@@ -164,7 +289,6 @@ def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path, monkeypatch, messa
         ("t,u\n0,1\n\n1,2,3\n", ["line 4 has 3 values"]),
         ("t,u\non,off\n", ["no data below"]),
         ("t\0,u\n0,1\n", ["is no text"]),
-        ("t,t\n0,1\n", ["'t' is there twice"]),
         ("t,u\n", ["no data below the line of column names"]),
         ("", ["is empty"]),
         ("\n\n", ["is empty"]),
@@ -189,7 +313,8 @@ def test_a_file_of_another_kind_is_one_line(suffix, tmp_path):
         b"these are only some words, and then some more, so that there is something to look at " * 4
     )
     with pytest.raises(
-        BristleError, match=r"cannot be read|is no NPZ archive|is no array|is no XLSX workbook"
+        BristleError,
+        match=r"cannot be read|is no (NPZ archive|array|XLSX workbook|JSON)|no (column|metadata)",
     ) as caught:
         read_columns(path)
     assert "\n" not in str(caught.value)

@@ -13,8 +13,9 @@ from zipfile import ZipFile, is_zipfile
 import numpy as np
 
 from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, in_seconds, must_fit
-from bristle.common.delimited import read_rows
 from bristle.common.errors import BristleError
+from bristle.records.formats.rate import rate_in
+from bristle.records.formats.text import read_rows
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 HDF5_OFFSETS = (0, 512)  # bytes: where it stands; before it, MATLAB writes a line of text
@@ -40,9 +41,39 @@ def read_mat(path: Path) -> Columns:
         must_fit(path, _unpacked_size(stream))
         stream.seek(0)
         found = loadmat(stream, simplify_cells=True)
-    return columns_of(
-        path, dict(_flat({k: v for k, v in found.items() if not k.startswith("__")})), "(:,{})"
-    )
+    flat = dict(_flat({k: v for k, v in found.items() if not k.startswith("__")}))
+    columns = columns_of(path, _named_channels(flat), "(:,{})")
+    columns.rate = _own_rate(flat)
+    return columns
+
+
+def _named_channels(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the same with the data of an identification toolbox's struct as one vector a channel,
+    by the name of the channel.
+    """
+    found = dict(flat)
+    for name in flat:
+        prefix, _, last = name.rpartition(".")
+        if last not in ("InputData", "OutputData"):
+            continue
+        given = flat.get(f"{prefix}.{last.replace('Data', 'Name')}")
+        labels = [str(each) for each in np.ravel(given)] if given is not None else []
+        table = np.asarray(flat[name])
+        table = table[:, None] if table.ndim == 1 else table
+        if table.ndim == 2 and len(labels) == table.shape[1] == len(set(labels)):
+            del found[name]
+            found |= {f"{prefix}.{label}": table[:, k] for k, label in enumerate(labels)}
+    return found
+
+
+def _own_rate(flat: Mapping[str, Any]) -> float | None:
+    """Return the sampling rate [Hz] that a number such as Ts or fs gives, or None."""
+    numbers = {
+        name.rpartition(".")[2]: float(value)
+        for name, value in flat.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    return rate_in([f"{name} = {value!r}" for name, value in numbers.items()])
 
 
 def _is_hdf5(stream: BinaryIO) -> bool:

@@ -1,0 +1,49 @@
+"""MCAP: messages in JSON, in the CDR of ROS 2, or as Protocol Buffers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from bristle.common.columns import Columns
+from bristle.common.errors import BristleError
+from bristle.records.logs.topics import Message, from_messages, missing
+
+
+def read_mcap(path: Path) -> Columns:
+    """Return the fields of all topics that can be decoded."""
+    try:
+        from mcap.reader import make_reader
+        from mcap_protobuf.decoder import DecoderFactory as Protobuf
+        from mcap_ros2.decoder import DecoderFactory as Ros2
+    except ImportError:
+        raise BristleError(
+            missing(path, "MCAP", "mcap, mcap-ros2-support, mcap-protobuf-support")
+        ) from None
+    unusable: dict[str, str] = {}
+    factories = (Ros2(), Protobuf())
+    decoders: dict[int, Callable[[bytes], Any] | None] = {}
+
+    def decoder(schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
+        if channel.message_encoding == "json":
+            return json.loads
+        return next(
+            filter(None, (f.decoder_for(channel.message_encoding, schema) for f in factories)), None
+        )
+
+    def messages(stream: Any) -> Iterator[Message]:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if channel.id not in decoders:
+                decoders[channel.id] = decoder(schema, channel)
+            decode = decoders[channel.id]
+            if decode is None:
+                unusable[channel.topic] = f"messages in '{channel.message_encoding}'"
+                continue
+            yield channel.topic, 1e-9 * message.log_time, decode(message.data)
+
+    with path.open("rb") as stream:
+        columns = from_messages(path, messages(stream))
+    columns.unusable.update(unusable)
+    return columns
