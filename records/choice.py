@@ -14,7 +14,7 @@ from bristle.common.table import factor_to
 from bristle.common.unit_names import COUNTS, unit_symbol
 from bristle.records.headings import UNITS, Heading, heading
 from bristle.records.intake import WRAP_SHARE
-from bristle.records.kinematics import NO_MOTION, Motion, motion_in
+from bristle.records.kinematics import NO_KINEMATICS, Kinematics, motion_in
 from bristle.records.layout import INPUT_UNITS, Column
 
 TURN_COUNTS = 4096  # counts a turn that are assumed where nothing shows them
@@ -78,7 +78,7 @@ class Files:
 
     tables: Mapping[Path, Columns]
     units: Mapping[str, str]
-    motion: Motion = NO_MOTION
+    motion: Kinematics = NO_KINEMATICS
 
     @classmethod
     def of(

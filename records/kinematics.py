@@ -28,7 +28,7 @@ FOLLOWED = 0.98  # least squared correlation of a position and its goal
 
 
 @dataclass(frozen=True)
-class Motion:
+class Kinematics:
     """Columns by what they are: `velocities` and `goals`, each with the position that it belongs
     to.
     """
@@ -44,16 +44,16 @@ class Motion:
         return "position" if name in positions else None
 
 
-NO_MOTION = Motion({}, {})
+NO_KINEMATICS = Kinematics({}, {})
 
 
-def motion_in(time: Array, columns: Mapping[str, Array]) -> Motion:
+def motion_in(time: Array, columns: Mapping[str, Array]) -> Kinematics:
     """Return what columns (n,) of a record are to each other; `time` (n,) in any unit is taken as
     seconds if its steps are.
     """
     names = [name for name, x in columns.items() if np.isfinite(x).all() and np.ptp(x) > 0.0]
     if len(names) < 2 or len(time) < LEAST_WINDOW * 10:
-        return NO_MOTION
+        return NO_KINEMATICS
     table = np.array([columns[name] for name in names])
     slopes, alike = _against_integrals(time, table)
     natural = np.min(np.abs(np.log(np.abs(slopes) / np.array(SLOPES)[:, None, None])), axis=0)
@@ -70,7 +70,7 @@ def motion_in(time: Array, columns: Mapping[str, Array]) -> Motion:
                 time, columns[name], columns[position]
             ):
                 goals[name] = position
-    return Motion(velocities, goals)
+    return Kinematics(velocities, goals)
 
 
 def _against_integrals(time: Array, table: Array) -> tuple[Array, Array]:

@@ -11,8 +11,6 @@ from bristle.common.columns import Columns
 from bristle.records.formats.reading import read_columns
 from bristle.records.headings import heading
 
-SHOWN_DIGITS = 4
-
 
 def listed(paths: Sequence[Path]) -> list[str]:
     """Return the columns of files with what they hold, those of a topic below its time.
@@ -45,7 +43,7 @@ def _clock(columns: Columns, time: str) -> str:
     """Return number and rate of the samples of a topic."""
     instants = columns[time]
     step = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
-    rate = f", {1 / step:.{SHOWN_DIGITS}g} Hz" if step > 0.0 else ""
+    rate = f", {1 / step:.4g} Hz" if step > 0.0 else ""
     return f"time, {len(instants)} samples{rate}"
 
 
@@ -54,7 +52,7 @@ def _values(columns: Columns, name: str) -> str:
     values = columns[name][np.isfinite(columns[name])]
     if not len(values):
         return "empty"
-    low, high = (f"{x:.{SHOWN_DIGITS}g}" for x in (values.min(), values.max()))
+    low, high = (f"{x:.4g}" for x in (values.min(), values.max()))
     said = heading(name, columns.units.get(name))
     about = " ".join(filter(None, ("setpoint" if said.setpoint else "", said.quantity, said.unit)))
     span = f"constant {low}" if low == high else f"{low} to {high}"

@@ -12,7 +12,11 @@ from bristle.common.columns import Columns, must_fit
 from bristle.records.formats.json_records import flat, from_lists
 
 LONGEST_LIST = 64  # numbers: a longer list of a message is an image or a scan
-NAMES = ("name", "names", "joint_names")  # fields that hold the names of the other lists' elements
+LABEL_FIELDS = (
+    "name",
+    "names",
+    "joint_names",
+)  # fields that hold the names of the other lists' elements
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 COUNTER = "header.seq"  # of ROS 1: no measurement
 TIME = "time"
@@ -96,7 +100,9 @@ def _short(value: Any) -> Any:
         return [_short(each) for each in value] if len(value) <= LONGEST_LIST else None
     if not isinstance(value, dict):
         return value
-    names: Sequence[Any] = next((value[key] for key in NAMES if _are_names(value.get(key))), ())
+    names: Sequence[Any] = next(
+        (value[key] for key in LABEL_FIELDS if _are_names(value.get(key))), ()
+    )
     found = {}
     for key, each in value.items():
         if names and isinstance(each, list) and len(each) == len(names) and each is not names:
