@@ -77,9 +77,9 @@ class SearchOutcome:
     @property
     def in_vain(self) -> bool:
         """True if its first round was its last one and found neither an effect nor a tie."""
-        [first, *later] = self.rounds
-        found = bool(later) or first.said.outcome not in ("none", "rejected")
-        return not found and self.input_share is None
+        if self.input_share is not None or len(self.rounds) != 1:
+            return False
+        return self.rounds[0].said.outcome in ("none", "rejected")
 
 
 def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> SearchOutcome:

@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bristle.diagnosis.answer import Assessment
+from bristle.diagnosis.checks.input_hold import InputShare
 from bristle.diagnosis.checks.preparation import base_servo_of
 from bristle.diagnosis.estimation import uncertainty as intervals
 from bristle.diagnosis.estimation.dataset import (
@@ -184,6 +185,23 @@ def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(
     pull = np.einsum("sbp,sb->sp", x, rest)
     lost = left_out_loss(own, pull, pull.sum(axis=0) - point / sd**2, information)
     np.testing.assert_allclose(at_point - lost, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "prepared_again", "vain"),
+    [
+        (["none"], False, True),
+        (["rejected"], False, True),
+        (["tie"], False, False),
+        (["added", "none"], False, False),
+        ([], True, False),  # records of an input that was not held, seen before the first round
+        (["added"], True, False),
+    ],
+)
+def test_a_search_was_in_vain_if_its_only_round_found_nothing(outcomes, prepared_again, vain):
+    rounds = tuple(SimpleNamespace(said=SimpleNamespace(outcome=each)) for each in outcomes)
+    share = InputShare(0.4, 100.0) if prepared_again else None
+    assert stepwise.SearchOutcome(SimpleNamespace(), rounds, share).in_vain is vain
 
 
 def test_the_search_sees_the_ends_of_the_range(case):
