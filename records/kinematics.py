@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.signal import correlate
 
 from bristle.common.table import Array
 
@@ -48,9 +48,7 @@ NO_KINEMATICS = Kinematics({}, {})
 
 
 def motion_in(time: Array, columns: Mapping[str, Array]) -> Kinematics:
-    """Return what columns (n,) of a record are to each other; `time` (n,) in any unit is taken as
-    seconds if its steps are.
-    """
+    """Return what columns (n,) of a record are to each other; `time` (n,) in s."""
     names = [name for name, x in columns.items() if np.isfinite(x).all() and np.ptp(x) > 0.0]
     if len(names) < 2 or len(time) < LEAST_WINDOW * 10:
         return NO_KINEMATICS
@@ -63,8 +61,7 @@ def motion_in(time: Array, columns: Mapping[str, Array]) -> Kinematics:
         if found[:, v].any():
             velocities[name] = names[int(np.argmax(np.where(found[:, v], alike[:, v], 0.0)))]
     goals = {}
-    positions = dict.fromkeys(velocities.values())
-    for position in positions:
+    for position in dict.fromkeys(velocities.values()):
         for name in names:
             if name not in (*velocities, position) and _leads(
                 time, columns[name], columns[position]
@@ -94,10 +91,8 @@ def _leads(time: Array, goal: Array, position: Array) -> bool:
     """Return whether a column is what a position follows, in the same unit."""
     h = (time[-1] - time[0]) / (len(time) - 1)
     most = min(len(time) // 4, math.ceil(LONGEST_LEAD / h))
-    length = next_fast_len(2 * len(time))
     x, y = (each[COMPARED_OVER:] - each[:-COMPARED_OVER] for each in (goal, position))
-    cross = np.fft.irfft(np.conj(np.fft.rfft(x, length)) * np.fft.rfft(y, length), length)
-    lag = int(np.argmax(cross[: most + 1]))
+    lag = int(np.argmax(correlate(y, x, method="fft")[len(x) - 1 : len(x) + most]))
     if lag == 0:
         return False
     x, y = goal[: len(goal) - lag], position[lag:]

@@ -11,7 +11,8 @@ from typing import Literal
 from bristle.common.errors import BristleError
 from bristle.common.table import factor_to
 from bristle.common.toml import Section, mistake, quoted
-from bristle.common.units import parse_unit, quantity
+from bristle.common.units import quantity
+from bristle.records.formats.rate import rate_of
 
 # SI unit of each kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
@@ -226,16 +227,6 @@ def _rate(table: TimeTable, where: Path | str, prefix: str) -> float | None:
         return rate_of(table.rate)
     except BristleError as error:
         raise mistake(where, f"{prefix}time.rate", table.rate, str(error)) from None
-
-
-def rate_of(given: str) -> float:
-    """Return a sampling rate [Hz] that is given as one, ``200 Hz``, or as an interval, ``5 ms``."""
-    unit = given.strip().partition(" ")[2].strip()
-    interval = bool(unit) and parse_unit(unit).exponents == parse_unit("s").exponents
-    value = quantity(given, "s" if interval else "Hz")
-    if value <= 0.0:
-        raise BristleError("must be above 0")
-    return 1.0 / value if interval else value
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:

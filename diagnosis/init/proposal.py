@@ -36,9 +36,10 @@ from bristle.diagnosis.sliding.screen import with_position_torques
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, at_rate, candidates, fitted
 from bristle.records.differences import are_differences
+from bristle.records.formats.rate import rate_of
 from bristle.records.formats.reading import read_columns
 from bristle.records.intake import distinct_files, records_of_tables
-from bristle.records.layout import Layout, LayoutTable, layout_of, rate_of
+from bristle.records.layout import Layout, LayoutTable, layout_of
 from bristle.records.record import Record
 
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
@@ -106,9 +107,7 @@ def propose(
     """
     listed = distinct_files(paths)
     asked = {role: name for role, name in (columns or {}).items() if name is not None}
-    tables = {path: read_columns(path) for path in listed}
-    files = Files.of(tables, dict(units or {}), asked)
-    tables = dict(files.tables)
+    files = Files.of({path: read_columns(path) for path in listed}, dict(units or {}), asked)
     if unknown := [name for name in files.units if name not in files.names]:
         raise BristleError(
             f"unit of '{unknown[0]}': is no column of numbers in every file; there are:"
@@ -116,7 +115,7 @@ def propose(
         )
     # the reading of the columns that a servo explains best, and rough parameters
     times, inputs, outputs = _candidates_of(files, asked, _rate(rate))
-    best, doubts = _best(tables, times[0], inputs, outputs)
+    best, doubts = _best(files.tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
     regression = _regression(best)
     slides = _sliding(best, regression)

@@ -82,8 +82,12 @@ def flat(sample: Json, prefix: str = "") -> dict[str, Json]:
 
 
 def from_samples(path: Path, samples: Sequence[Mapping[str, Json]]) -> Columns:
-    """Return the columns of samples; what one does not hold is NaN."""
-    rows = [flat(sample) for sample in samples]
+    """Return the columns of samples."""
+    return from_rows(path, [flat(sample) for sample in samples])
+
+
+def from_rows(path: Path, rows: Sequence[Mapping[str, Json]]) -> Columns:
+    """Return the columns of rows of values by name; what one does not hold is NaN."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     must_fit(path, 8 * len(names) * len(rows), len(names))
     return from_lists(path, {name: [row.get(name) for row in rows] for name in names})

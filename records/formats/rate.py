@@ -1,4 +1,4 @@
-"""A sampling rate that stands above the numbers: ``fs = 200 Hz``, ``Sampling interval (ms), 5``."""
+"""A sampling rate: with its unit, or in a line above the numbers, ``Sampling interval (ms), 5``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from bristle.common.errors import BristleError
 from bristle.common.unit_names import unit_symbol
-from bristle.common.units import parse_unit
+from bristle.common.units import parse_unit, quantity
 
 _GIVEN = re.compile(
     r"""^[^\w]*
@@ -27,21 +27,19 @@ def rate_in(lines: Sequence[str]) -> float | None:
     """
     for line in lines:
         if match := _GIVEN.match(line):
-            usual = "Hz" if match["rate"] else "s"
-            rate = _in_hertz(match["number"], match["before"] or match["behind"] or usual)
-            if rate is not None:
-                return rate
+            unit = match["before"] or match["behind"] or ("Hz" if match["rate"] else "s")
+            try:
+                return rate_of(f"{match['number']} {unit_symbol(unit) or unit}")
+            except BristleError:  # a line on something else
+                continue
     return None
 
 
-def _in_hertz(number: str, unit: str) -> float | None:
-    """Return a rate or an interval as a rate [Hz]; None if it is neither."""
-    try:
-        given, value = parse_unit(unit_symbol(unit) or unit), float(number)
-    except (BristleError, ValueError):
-        return None
-    if not 0.0 < value < float("inf"):
-        return None
-    if given.exponents == parse_unit("Hz").exponents:
-        return value * given.factor
-    return 1.0 / (value * given.factor) if given.exponents == parse_unit("s").exponents else None
+def rate_of(given: str) -> float:
+    """Return a sampling rate [Hz] that is given as one, ``200 Hz``, or as an interval, ``5 ms``."""
+    unit = given.strip().partition(" ")[2].strip()
+    interval = bool(unit) and parse_unit(unit).exponents == parse_unit("s").exponents
+    value = quantity(given, "s" if interval else "Hz")
+    if value <= 0.0:
+        raise BristleError("must be above 0")
+    return 1.0 / value if interval else value

@@ -34,16 +34,13 @@ def read_columns(path: Path) -> Columns:
     BristleError
         If the file cannot be read or is of no known format.
     """
-    bag = path.is_dir() and is_bag(path)
-    if path.is_dir() and not bag:
+    if path.is_dir() and not is_bag(path):
         raise BristleError(
             f"record {path}: is a folder; give a file, or the pattern '{path}/*.csv'"
         )
-    if not bag:
+    if not path.is_dir():
         check_regular(path, f"record {path}")
     try:
-        if not bag:
-            path.open("rb").close()  # what cannot be read says so before a library does
         columns = without_padding(_read(path))
     except BristleError:
         raise
@@ -68,10 +65,13 @@ def _read(path: Path) -> Columns:
                 return _read(inner)
             except BristleError as error:  # of the copy, which nobody knows
                 raise BristleError(str(error).replace(str(inner), str(path))) from None
-    reader = read_ros_bag if path.is_dir() else READERS.get(path.suffix.lower())
+    if path.is_dir():
+        return read_ros_bag(path)
+    reader = READERS.get(path.suffix.lower())
     if reader is None:
         known = ", ".join((*READERS, *STREAMS, ZIP))
         raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {known}")
+    path.open("rb").close()  # what cannot be read says so before a library does
     return reader(path)
 
 

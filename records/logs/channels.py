@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.columns import Array, Columns, columns_of, must_fit
-from bristle.common.errors import BristleError
-from bristle.records.logs.topics import TIME, missing
+from bristle.records.logs.topics import TIME, needed
 
 # of a TDMS channel: the first sample [s], their distance [s], the unit
 OFFSET, INCREMENT, UNIT = "wf_start_offset", "wf_increment", "unit_string"
@@ -39,10 +38,8 @@ def from_groups(path: Path, groups: Iterable[Group]) -> Columns:
 
 def read_tdms(path: Path) -> Columns:
     """Return the channels of a TDMS file."""
-    try:
+    with needed(path, "TDMS", "npTDMS"):
         from nptdms import TdmsFile
-    except ImportError:
-        raise BristleError(missing(path, "TDMS", "npTDMS")) from None
 
     def groups() -> Iterator[Group]:
         for group in TdmsFile.read(path).groups():
@@ -64,10 +61,8 @@ def read_tdms(path: Path) -> Columns:
 
 def read_mdf(path: Path) -> Columns:
     """Return the channels of an MDF file of version 3 or 4."""
-    try:
+    with needed(path, "MDF", "asammdf"):
         from asammdf import MDF
-    except ImportError:
-        raise BristleError(missing(path, "MDF", "asammdf")) from None
 
     def groups() -> Iterator[Group]:
         with MDF(path) as file:
@@ -88,10 +83,8 @@ def read_mdf(path: Path) -> Columns:
 
 def read_ulog(path: Path) -> Columns:
     """Return the topics of a ULog file."""
-    try:
+    with needed(path, "ULog", "pyulog"):
         from pyulog import ULog
-    except ImportError:
-        raise BristleError(missing(path, "ULog", "pyulog")) from None
 
     def groups() -> Iterator[Group]:
         with path.open("rb") as stream:

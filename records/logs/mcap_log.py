@@ -8,20 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.columns import Columns
-from bristle.common.errors import BristleError
-from bristle.records.logs.topics import Message, from_messages, missing
+from bristle.records.logs.topics import Message, from_messages, needed
 
 
 def read_mcap(path: Path) -> Columns:
     """Return the fields of all topics that can be decoded."""
-    try:
+    with needed(path, "MCAP", "mcap, mcap-ros2-support, mcap-protobuf-support"):
         from mcap.reader import make_reader
         from mcap_protobuf.decoder import DecoderFactory as Protobuf
         from mcap_ros2.decoder import DecoderFactory as Ros2
-    except ImportError:
-        raise BristleError(
-            missing(path, "MCAP", "mcap, mcap-ros2-support, mcap-protobuf-support")
-        ) from None
     unusable: dict[str, str] = {}
     factories = (Ros2(), Protobuf())
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
@@ -44,6 +39,4 @@ def read_mcap(path: Path) -> Columns:
             yield channel.topic, 1e-9 * message.log_time, decode(message.data)
 
     with path.open("rb") as stream:
-        columns = from_messages(path, messages(stream))
-    columns.unusable.update(unusable)
-    return columns
+        return from_messages(path, messages(stream), unusable)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
-from bristle.records.logs.topics import Message, from_messages, missing
+from bristle.records.logs.topics import Message, from_messages, needed
 
 METADATA = "metadata.yaml"  # makes a folder a bag
 
@@ -19,11 +19,9 @@ def is_bag(path: Path) -> bool:
 
 def read_ros_bag(path: Path) -> Columns:
     """Return the fields of all topics of which the types of messages are known."""
-    try:
+    with needed(path, "a ROS bag", "rosbags"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise BristleError(missing(path, "a ROS bag", "rosbags")) from None
     bag = path.parent if path.suffix.lower() == ".db3" else path
     if path.suffix.lower() == ".db3" and not is_bag(bag):
         raise BristleError(
@@ -45,6 +43,4 @@ def read_ros_bag(path: Path) -> Columns:
             yield connection.topic, 1e-9 * time, reader.deserialize(data, connection.msgtype)
 
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        columns = from_messages(path, messages(reader))
-    columns.unusable.update(unusable)
-    return columns
+        return from_messages(path, messages(reader), unusable)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bristle.common.columns import Columns, must_fit
-from bristle.records.formats.json_records import flat, from_lists
+from bristle.common.errors import BristleError
+from bristle.records.formats.json_records import flat, from_rows
 
 LONGEST_LIST = 64  # numbers: a longer list of a message is an image or a scan
-LABEL_FIELDS = (
-    "name",
-    "names",
-    "joint_names",
-)  # fields that hold the names of the other lists' elements
+# fields that hold the names of the elements of the lists beside them
+LABEL_FIELDS = ("name", "names", "joint_names")
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 COUNTER = "header.seq"  # of ROS 1: no measurement
 TIME = "time"
@@ -28,7 +27,7 @@ def from_messages(
     path: Path, messages: Iterable[Message], unusable: Mapping[str, str] | None = None
 ) -> Columns:
     """Return the columns ``topic.field`` of messages, each topic with its ``topic.time`` [s]: that
-    of its headers if they have one, else that of the log.
+    of its headers if they have one, else that of the log. `unusable` may grow with the messages.
     """
     topics: dict[str, tuple[list[float], list[dict[str, Any]]]] = {}
     count = 0
@@ -41,8 +40,7 @@ def from_messages(
         rows.append(row)
     columns, held, own = dict[str, Any](), dict(unusable or {}), dict[str, str]()
     for topic, (times, rows) in topics.items():
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        of = from_lists(path, {name: [row.get(name) for row in rows] for name in names})
+        of = from_rows(path, rows)
         clock = f"{topic}.{TIME}"
         seconds = _stamps(of, np.array(times))
         order = np.argsort(seconds, kind="stable")
@@ -121,6 +119,12 @@ def _are_names(value: Any) -> bool:
     )
 
 
-def missing(path: Path, format_name: str, library: str) -> str:
-    """Return the line of an error where the library for a format is not installed."""
-    return f"record {path}: {format_name} needs {library}; run: pip install 'bristle[logs]'"
+@contextmanager
+def needed(path: Path, format_name: str, library: str) -> Iterator[None]:
+    """Say what to install where the imports in this context fail."""
+    try:
+        yield
+    except ImportError:
+        raise BristleError(
+            f"record {path}: {format_name} needs {library}; run: pip install 'bristle[logs]'"
+        ) from None

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bristle.common.columns import Columns
-from bristle.common.errors import BristleError
-from bristle.records.logs.topics import Message, from_messages, missing
+from bristle.records.logs.topics import Message, from_messages, needed
 
 GETTERS = {
     "double": "getDouble",
@@ -21,10 +20,8 @@ GETTERS = {
 
 def read_wpi_log(path: Path) -> Columns:
     """Return the entries of numbers as ``name.value``."""
-    try:
+    with needed(path, "WPILOG", "robotpy-wpiutil"):
         from wpiutil.log import DataLogReader
-    except ImportError:
-        raise BristleError(missing(path, "WPILOG", "robotpy-wpiutil")) from None
     unusable: dict[str, str] = {}
 
     def messages() -> Iterator[Message]:
@@ -41,6 +38,4 @@ def read_wpi_log(path: Path) -> Columns:
                 else:
                     unusable[name] = f"values of type '{kind}'"
 
-    columns = from_messages(path, messages())
-    columns.unusable.update(unusable)
-    return columns
+    return from_messages(path, messages(), unusable)
