@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -355,8 +355,9 @@ def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
     if some fail.
     """
     with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
-        made = [pool.submit(make, unit) for unit in units]
+        made: list[Future[Path]] = []
         try:
+            made.extend(pool.submit(make, unit) for unit in units)
             return [each.result() for each in made]
         except Exception:
             # what has not begun is not wanted any more

@@ -78,6 +78,33 @@ def test_a_compiler_ends_with_us(endless: Path, tmp_path: Path, number: int, cod
     wait_until(lambda: not running(endless))
 
 
+# the signal comes when one compiler runs and the next is not submitted yet
+INTERRUPTED = """
+import sys, time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from bristle.model import compiler
+class Pool(ThreadPoolExecutor):
+    def submit(self, *args):
+        if self._threads:
+            while not compiler._watched:
+                time.sleep(0.01)
+            sys.exit(3)
+        return super().submit(*args)
+compiler.ThreadPoolExecutor = Pool
+compiler.compile_shared({"f.c": "int f(void);", "g.c": "int g(void);"}, Path("f.so"))
+"""
+
+
+def test_a_signal_between_two_compilers_ends_the_first(endless: Path, tmp_path: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED], cwd=tmp_path)
+    try:
+        assert process.wait(20) == 3
+    finally:
+        process.kill()
+    wait_until(lambda: not running(endless))
+
+
 def test_a_compiler_that_takes_too_long_is_ended(
     endless: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
