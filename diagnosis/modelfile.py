@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,25 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.toml import first_mistake, mistake, quoted, read_toml
 from bristle.common.units import interval, parse_unit, quantity
 from bristle.model.variables import Parameter
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import Effect
+from bristle.plant.effects import BESIDE
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import law_names
 from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
-from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import Wording
 from bristle.records.formats.reading import READERS
-from bristle.records.layout import INPUT_UNITS, Layout, LayoutTable, layout_lines, layout_of
+from bristle.records.layout import (
+    INPUT_UNITS,
+    SETPOINT,
+    Layout,
+    LayoutTable,
+    layout_lines,
+    layout_of,
+)
 
 Given = str | int | float | bool
 BOUND_FACTOR = 5.0  # a parameter without bounds may move by this factor either way
@@ -47,6 +55,9 @@ class ModelTable(LayoutTable):
     viscous friction and the levels of dry friction may change by a factor of 5 either way."""
     effects: dict[str, dict[str, Given]] = Field(default={})
     """Effects that the model has already, each a table `[effects.NAME]` of its parameters."""
+    controller: dict[str, Given] | None = None
+    """What is known of the controller that follows a `setpoint`: `kp`, `ki`, `kd`, `limit` and
+    more; what is missing is estimated."""
     variables: dict[str, str | dict[str, str | float]] = Field(default={})
     """Names of a plant FMU's variables where they are not u, theta and v, by these: `u =
     "voltage"`, or `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one
@@ -89,7 +100,7 @@ class Model(Layout):
     @property
     def wording(self) -> Wording:
         """Words for its axis and its input."""
-        return Wording(self.linear, self.input_kind)
+        return Wording(self.linear, self.drive)
 
     @property
     def values(self) -> dict[str, float]:
@@ -101,13 +112,18 @@ class Model(Layout):
             **{f"{e}.{p}": x for e, values in self.effects.items() for p, x in values.items()},
         }
 
+    @property
+    def controller(self) -> dict[str, float] | None:
+        """What is known of the controller that follows a setpoint; None for another input."""
+        return self.effects.get(CONTROLLER.name)
+
     def unit(self, name: str) -> str:
         """Return the SI unit of a parameter of servo, law or effect (``cogging.amplitude``)."""
-        return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
+        return own_unit(_declared(self.friction)[name], self.linear, self.drive)
 
     def unit_in_fmu(self, name: str, unit: str) -> str:
         """Return the unit of a variable of a plant FMU, by its name and its unit in ServoPlant."""
-        return unit_on(name, unit, self.linear, self.input_kind)
+        return unit_on(name, unit, self.linear, self.drive)
 
     def allowed(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value that such a parameter may have, SI."""
@@ -203,7 +219,7 @@ def unit_on(full_name: str, unit: str, linear: bool, kind: str) -> str:
 
 def _may_have() -> dict[str, Effect]:
     """Return what a model may have, by name: the effects, and the unnamed torques."""
-    return {**all_effects(), **UNNAMED_TORQUES}
+    return {**all_effects(), **BESIDE}
 
 
 def _declared(friction: str) -> dict[str, Parameter]:
@@ -253,7 +269,7 @@ class _File:
 
     def number(self, key: str, value: object, parameter: Parameter) -> float:
         """Return a value in SI, which a bare number is already, inside the parameter's interval."""
-        unit = own_unit(parameter, self.layout.linear, self.layout.input_kind)
+        unit = own_unit(parameter, self.layout.linear, self.layout.drive)
         if isinstance(value, bool) or not isinstance(value, (str, int, float)):
             raise self.mistake(
                 key,
@@ -283,16 +299,18 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         raise mistake(where, "friction", table.friction, message)
     # parameters and bounds, by the names that the law declares
     law, layout = find_law(table.friction), layout_of(table, where)
-    gain = () if layout.input_kind in ("torque", "force") else (B,)
+    gain = () if layout.drive in ("torque", "force") else (B,)
     file = _File(where, law, {p.name: p for p in (J, A2, *gain, *law.parameters)}, layout)
     parameters = _parameters(file, table.parameters)
+    controller = _controller(file, table.controller)
     bounds = (
         default_bounds(law, parameters)
         if table.bounds is None
-        else _bounds(file, table.bounds, parameters)
+        else _bounds(file, table.bounds, parameters, controller)
     )
     # effects that exclude each other, or the law, are refused here
     effects = {name: _effect(file, name, given) for name, given in table.effects.items()}
+    effects |= {} if controller is None else {CONTROLLER.name: controller}
     if effects:
         try:
             servo(law, False, [find_effect(name) for name in effects])
@@ -347,9 +365,37 @@ def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
     return parameters
 
 
+def _controller(file: _File, given: Mapping[str, Given] | None) -> dict[str, float] | None:
+    """Return what is known of the controller; None where the input is no setpoint."""
+    if file.layout.input_kind != SETPOINT:
+        if given is None:
+            return None
+        said = 'only a setpoint has a controller; remove it, or write kind = "setpoint"'
+        raise file.mistake(CONTROLLER.name, None, said)
+    if file.layout.output_kind != "position":
+        said = f"'{file.layout.output_kind}' has no setpoint; give the column of the position"
+        raise file.mistake("output.kind", file.layout.output_kind, said)
+    own = {p.name.removeprefix(f"{CONTROLLER.name}."): p for p in CONTROLLER.parameters}
+    for key, value in (given or {}).items():
+        if key not in own:
+            said = f"no parameter of a controller{suggest(key, list(own))}; there are:"
+            raise file.mistake(f"controller.{key}", value, f"{said} {', '.join(own)}")
+    return {
+        key: file.number(f"controller.{key}", value, own[key])
+        for key, value in (given or {}).items()
+    }
+
+
 def _bounds(
-    file: _File, given: Mapping[str, Any], parameters: Mapping[str, float]
+    file: _File,
+    given: Mapping[str, Any],
+    parameters: Mapping[str, float],
+    controller: Mapping[str, float] | None,
 ) -> dict[str, tuple[float, float]]:
+    if controller is not None:
+        names = {p.name: p for p in CONTROLLER.parameters}
+        file = replace(file, names={**file.names, **names})
+        parameters = {**parameters, **{f"{CONTROLLER.name}.{k}": x for k, x in controller.items()}}
     bounds: dict[str, tuple[float, float]] = {}
     for name, value in _flat(given):
         full, key = file.full_name("bounds", name, value), f"bounds.{name}"
@@ -370,7 +416,7 @@ def _bounds(
                 list(value),
                 "must rise; write [lowest, highest], or leave it out to keep the parameter fixed",
             )
-        nominal = parameters[full]
+        nominal = parameters.get(full, low)
         if not low <= nominal <= high:
             raise file.mistake(
                 key,
@@ -442,7 +488,7 @@ def model_text(model: Model) -> str:
     ]
     lines += ["", *layout_lines(model)]
     for effect, values in model.effects.items():
-        lines += ["", f"[effects.{effect}]"]
+        lines += ["", f"[{effect}]" if effect == CONTROLLER.name else f"[effects.{effect}]"]
         lines += [
             f"{_key(name)} = {float(value)!r}  # {model.unit(f'{effect}.{name}')}"
             for name, value in values.items()

@@ -232,9 +232,13 @@ class Extension:
     follow : function
         Values of own continuous states without rates at the end of an internal step; arguments the
         context at its start, the position and the velocity at its end.
+    recorded : function
+        Values of all own states from a recorded motion: its context also has the acceleration
+        as ``p.a``, the input of the sample before as ``p.u_before`` and the integral of u - theta
+        [rad.s] as ``p.error_sum``.
     sampled, updates : tuple of State, function
-        Own sampled states, updated before an interval is integrated. Their `initial` may be a
-        function of the parameters.
+        Own sampled states, updated before an interval is integrated. The `initial` of a state may
+        be a function of the parameters and the first input.
     command : function
         Map of the input before the drive's limit u_max.
     drive : function
@@ -273,6 +277,7 @@ class Extension:
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
     follow: Callable[[Context, SX, SX], dict[str, SX]] | None = None
+    recorded: Callable[[Context], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()
     updates: Callable[[Context], dict[str, SX]] | None = None
     command: Callable[[Context], SX] | None = None

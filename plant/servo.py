@@ -15,7 +15,7 @@ from bristle.common.plugins import naming_plugins
 from bristle.model.normalised import OBSERVED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
-from bristle.model.variables import Parameter, State, Variable
+from bristle.model.variables import Namespace, Parameter, State, Variable
 from bristle.plant.effect import LONGEST_DELAY, Effects, Extension, arrange
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
@@ -144,10 +144,15 @@ def _declare_states(system: System, law: FrictionLaw, effects: Sequence[Extensio
     for effect in effects:
         p = system.namespace(f"{effect.name}.")
         for state in effect.states:
-            system.state(replace(state, name=f"{effect.name}.{state.name}"))
+            system.state(_started(effect, state, p))
         for state in effect.sampled:
-            initial = state.initial(p) if callable(state.initial) else state.initial
-            system.sampled(replace(state, name=f"{effect.name}.{state.name}", initial=initial))
+            system.sampled(_started(effect, state, p))
+
+
+def _started(effect: Extension, state: State, p: Namespace) -> State:
+    """Return a state of an effect under its full name, with its start value as an expression."""
+    initial = state.initial(p) if callable(state.initial) else state.initial
+    return replace(state, name=f"{effect.name}.{state.name}", initial=initial)
 
 
 def _outputs(
@@ -166,7 +171,7 @@ def _outputs(
     # what is shown at the start, where the effects' states have their start values
     first = ca.vertcat(*work.shown(*start))
     names = [f"{effect.name}.{state.name}" for effect in effects for state in effect.states]
-    begin = ca.vertcat(*(SX(state.initial) for effect in effects for state in effect.states))
+    begin = ca.vertcat(*(SX(system.states[name].initial) for name in names))
     at_start = ca.substitute(first, system.vector(names), begin) if begin.numel() else first
     theta_first, v_first = ca.vertsplit(at_start)
     delay = work.delay()

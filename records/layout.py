@@ -14,7 +14,8 @@ from bristle.common.toml import Section, mistake, quoted
 from bristle.common.units import quantity
 from bristle.records.formats.rate import rate_of
 
-# SI unit of each kind of input
+SETPOINT = "setpoint"  # kind of an input that is a goal for the output
+# SI unit of each other kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
 
 
@@ -46,9 +47,9 @@ class TimeTable(Section):
 class InputTable(Column):
     """The column of the input."""
 
-    kind: Literal["torque", "force", "voltage", "current"]
+    kind: Literal["torque", "force", "voltage", "current", "setpoint"]
     """What the input is: `torque` and `force` fit an output that turns and one that moves, the
-    others either.
+    others either; `setpoint` is the position that a controller follows.
     """
 
 
@@ -87,8 +88,8 @@ class Layout:
         Where the record holds them; no time is None.
     rate : float or None
         Sampling rate [Hz] of records without a time.
-    input_kind : {"torque", "force", "voltage", "current"}
-        What the input is.
+    input_kind : {"torque", "force", "voltage", "current", "setpoint"}
+        What the input is; a setpoint is the position that a controller follows.
     output_kind : {"position", "velocity"}
         What the output is.
     resolution : float or None
@@ -115,7 +116,16 @@ class Layout:
     @property
     def input_unit(self) -> str:
         """SI unit of the input."""
+        if self.input_kind == SETPOINT:
+            return _output_unit("position", self.linear)
         return INPUT_UNITS[self.input_kind]
+
+    @property
+    def drive(self) -> str:
+        """What drives the axis: the input, or what a controller makes of a setpoint."""
+        if self.input_kind == SETPOINT:
+            return "force" if self.linear else "torque"
+        return self.input_kind
 
     @property
     def output_unit(self) -> str:

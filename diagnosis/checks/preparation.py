@@ -40,12 +40,18 @@ from bristle.diagnosis.estimation.simulator import (
 from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.stretches import smooth, stretches_of
+from bristle.diagnosis.sliding.torque import drive_torque
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import RecordedMotion
+from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
+from bristle.plant.servo import J
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
+LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a controller is fitted
+START_LAG = 1e-3  # s: lag of a controller's velocity from which it is fitted
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
@@ -85,7 +91,9 @@ def prepared_case(
     model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
 ) -> PreparedCase | Diagnosis:
     """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
-    said, dataset = check(model, records), dataset_of(model, records)
+    model = with_controller(model, records)
+    said = Plausibility((), ()) if model.controller else check(model, records)
+    dataset = dataset_of(model, records)
     if said.corrections:
         gap = nominal_gap(dataset, *base_servo_of(model, dataset))
         return implausible(model, records, gap, said, notes)
@@ -98,6 +106,41 @@ def prepared_case(
     if _lacks_much(dataset, servo, values):
         return replace(case, otherwise=lambda: _in_shorter_segments(case))
     return _in_shorter_segments(case)
+
+
+# -- the controller that follows a setpoint --------------------------------------------------------
+def with_controller(model: Model, records: Sequence[Record]) -> Model:
+    """Return a model with start values of what is not known of its controller, from the motion that
+    slides; as it is where its input is no setpoint.
+
+    Derivative and integral action, and a limit, are taken where the motion is likelier with them.
+    """
+    known = model.controller
+    if known is None:
+        return model
+
+    def fitted(more: Mapping[str, float]) -> tuple[float, Model]:
+        tried = replace(model, effects={**model.effects, CONTROLLER.name: {**more, **known}})
+        dataset = dataset_of(tried, records)
+        slides = sliding_fit(dataset, *base_servo_of(tried, dataset))
+        if slides is None:
+            return -math.inf, tried
+        own = tried.effects[CONTROLLER.name]
+        found = {key: slides.values[f"{CONTROLLER.name}.{key}"] for key in own}
+        # a torque that nothing measures is given in units in which the inertia is the nominal one
+        scale = 1.0 if "kp" in known else inertia / slides.values[J.name]
+        for p in CONTROLLER.parameters:
+            key = p.name.removeprefix(f"{CONTROLLER.name}.")
+            if key in found and "N.m" in p.unit and key not in known:
+                found[key] *= scale
+        return slides.total, replace(tried, effects={**tried.effects, CONTROLLER.name: found})
+
+    inertia = model.parameters[J.name]
+    omegas = (2 * math.pi * np.array(LOOP_FREQUENCIES)).tolist()
+    starts = [{"kp": inertia * w**2, "kd": inertia * w} for w in omegas]
+    total, best = max((fitted(start) for start in starts), key=lambda each: each[0])
+    lag = {"lag": START_LAG, **(best.controller or {})}
+    return replace(best, effects={**best.effects, CONTROLLER.name: lag})
 
 
 def implausible(
@@ -163,12 +206,18 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
+    stretches = stretches_of([(r.time, r.u, r.y) for r in long], h, velocity, resolution)
     shown = excitation(model, records)
+    if model.controller is not None:
+        asked = drive_torque(tuple(model.effects), model.settings(), stretches)
+        counts, at = [len(piece.u) for piece in pieces], np.arange(len(asked))
+        keep = np.concatenate([at[stretches.record == k][:n] for k, n in enumerate(counts)])
+        moved = replace(moved, u=asked[keep])
     excluded = excluded_effects(model, shown.lacks)
     return Dataset(
         segments,
         moved,
-        stretches_of([(r.time, r.u, r.y) for r in long], h, velocity, resolution),
+        stretches,
         resolution,
         least,
         shown.uniform,
@@ -244,7 +293,8 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
     s, given = dataset.segments, {"b": 1.0, **model.parameters}
     # the model's own parameters
     free = []
-    for name, (low, high) in model.bounds.items():
+    own = {name: ends for name, ends in model.bounds.items() if name in given}
+    for name, (low, high) in own.items():
         doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
         free.append(Free(name, low, high, nominal=given[name], prior_sd=doubt))
     values, dry = (
@@ -268,13 +318,16 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
                 Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping)
             )
     # effects that the model has already
-    for effect, own in model.effects.items():
-        values |= {f"{effect}.{name}": value for name, value in own.items()}
-        free += [] if effect in UNNAMED_TORQUES else _prior_around(effect, own)
+    for effect, its in model.effects.items():
+        values |= {f"{effect}.{name}": value for name, value in its.items()}
+        if effect not in UNNAMED_TORQUES:
+            free += [_bounded(model, f) for f in _prior_around(effect, its)]
+    # all else is relative to it
+    free = [f for f in free if f.name != f"{CONTROLLER.name}.kp"]
     servo = Servo(
         model.friction,
         tuple(model.effects),
-        tuple(model.bounds),
+        tuple(own),
         tuple(free),
         fixed_values(s.h),
         rigid,
@@ -282,6 +335,12 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         credible(dataset),
     )
     return servo, values
+
+
+def _bounded(model: Model, free: Free) -> Free:
+    """Return a parameter within the bounds that a model gives it."""
+    low, high = model.bounds.get(free.name, (free.low, free.high))
+    return replace(free, low=max(low, free.low), high=min(high, free.high))
 
 
 def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
@@ -293,8 +352,8 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
     """
     inactive = {
         key
-        for key, value in effects()[effect].inactive_values.items()
-        if given[key.removeprefix(f"{effect}.")] == value
+        for key, value in find_effect(effect).inactive_values.items()
+        if key.removeprefix(f"{effect}.") in given and given[key.removeprefix(f"{effect}.")] == value
     }
     for f in free_parameters(
         effect,

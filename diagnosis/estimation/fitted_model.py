@@ -12,6 +12,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, mean
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
+from bristle.plant.controller import CONTROLLER
 
 NOISE_FIT_ITERATIONS = 40  # steps of a fit under a given noise
 NOISE_PASSES = 8  # most alternations of noise and parameters
@@ -124,7 +125,9 @@ def sliding_fit(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> 
     """Return a servo fitted to where the records slide, from given values; None where that does not
     show it.
     """
-    own = tuple(f for f in servo.free if not f.name.startswith(f"{OWN_BRISTLES}."))
+    # a short lag acts like an inertia, which a torque that is only asked for does not tell from it
+    hidden = (f"{OWN_BRISTLES}.", f"{CONTROLLER.name}.lag")
+    own = tuple(f for f in servo.free if not f.name.startswith(hidden))
     model = SlidingModel(servo.law, servo.effects, own, dataset.stretches, dataset.resolution)
     return fit_sliding(model, {**servo.fixed, **values})
 

@@ -18,6 +18,7 @@ from bristle.diagnosis.modelfile import NO_LIMIT
 from bristle.model.lanes import Lanes
 from bristle.model.native import pointer
 from bristle.model.program import Program
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.servo import LOAD_STARTS, servo_program
@@ -27,6 +28,7 @@ Mask = NDArray[np.bool_]
 
 # state of the load: state of the motor with which a segment sets it
 LEADERS = {"theta_load": "theta", "v_load": "v"}
+FOLLOWERS = {**LEADERS, f"{CONTROLLER.name}.speed": "v"}  # all states that segments set so
 START_STATES = ("theta_start", "v_start")
 # initial states of a load with free play: how far and how much slower it lags
 LOAD_STATES = tuple(p.name for p in LOAD_STARTS)
@@ -124,7 +126,7 @@ class Simulator:
         velocity = self.segments.velocity
         # what is set itself, and what follows it
         chosen = ["v"] if velocity else ["theta", "v"]
-        follow = [LEADERS.get(name, "") for name in states]
+        follow = [FOLLOWERS.get(name, "") for name in states]
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
         self._column = np.array(
             [len(self.names) + (name == "v") for name in chosen], dtype=np.int32

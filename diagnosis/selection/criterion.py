@@ -23,7 +23,7 @@ from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.effect_size import fall, gain_error, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
-from bristle.plant.effects import effects as all_effects
+from bristle.plant.effects import effect as find_effect
 
 # of the best gain: least gain of a candidate that is refitted under the best one's noise
 CONTENDER_SHARE = 0.2
@@ -260,4 +260,4 @@ def is_tied(best: EffectFit, other: EffectFit, uniform: bool) -> bool:
 
 def group(name: str) -> str:
     """Return the class of an effect."""
-    return all_effects()[name].group
+    return find_effect(name).group

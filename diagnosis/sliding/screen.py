@@ -17,6 +17,7 @@ from bristle.diagnosis.sliding.fit import (
     SlidingFit,
     fit_beside,
 )
+from bristle.diagnosis.sliding.torque import drive_torque
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -41,16 +42,17 @@ def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
     `turn` as of `Evidence`.
     """
     s, values = fit.model.over, fit.values
+    u = drive_torque(fit.model.effects, values, s) / values["b"]
     return Evidence(
         s.theta,
         s.v * s.slides,
         s.a,
-        s.u,
+        u,
         s.time,
         s.h,
         fit.model.resolution,
         values["J"],
-        dry_friction(fit.model.free, values, s.u),
+        dry_friction(fit.model.free, values, u),
         values["b"],
         fit.regress,
         turn,

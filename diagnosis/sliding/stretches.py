@@ -56,6 +56,21 @@ class Stretches:
         return inside
 
     @cached_property
+    def u_before(self) -> Array:
+        """Input of the sample before, in the same record."""
+        before = np.roll(self.u, 1)
+        first = np.flatnonzero(np.diff(self.record, prepend=-1))
+        before[first] = self.u[first]
+        return before
+
+    @cached_property
+    def error_sum(self) -> Array:
+        """Integral of input less position since the start of the record [rad.s]."""
+        error = self.u - self.measured
+        parts = [error[self.record == k] for k in range(int(self.record[-1]) + 1)]
+        return np.concatenate([self.h * (np.cumsum(each) - each) for each in parts])
+
+    @cached_property
     def age(self) -> NDArray[np.int64]:
         """Innovations of its stretch before each counted sample."""
         lag, lengths = SETTLING - (1 if self.velocity else 2), self.end - self.begin - SETTLING

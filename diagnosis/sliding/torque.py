@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -13,13 +13,16 @@ from bristle.common.table import Array
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.model.python import for_arrays
 from bristle.model.system import System
-from bristle.plant.effect import Effect
+from bristle.model.variables import Namespace
+from bristle.plant.controller import CONTROLLER
+from bristle.plant.effect import Context, Effect
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
 
 Names = tuple[str, ...]
-MOTION = ("theta", "v", "u", "time")
+RECORDED = ("a", "u_before", "error_sum")  # what only states that a record shows depend on
+MOTION = ("theta", "v", "u", "time", *RECORDED)
 
 
 @lru_cache(maxsize=128)
@@ -31,14 +34,20 @@ def _function(
     """
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
-    if system.before or system.after or system.modes or not all(map(_is_static, members)):
+    symbols = system.symbols | {name: ca.SX.sym(name) for name in RECORDED}
+    symbols["time"] = system.time
+    seen = _recorded(members, symbols)
+    other = {*system.before, *system.after, *system.modes} - set(seen)
+    if other or not all(map(_is_static, members)):
         raise NotStaticError
     rate, v = system.rates["v"], system.symbols["v"]
     if (dry := system.dry) is not None:
         backward = dry.bound if dry.backward is None else dry.backward
         rate = rate - ca.if_else(v > 0, dry.bound, -backward) / dry.inertia
-    rate = ca.substitute(rate, *_settled(system))
-    names, symbols = tuple(system.parameters), system.symbols | {"time": system.time}
+    own = ca.vertcat(*(symbols[name] for name in seen))
+    rate = ca.substitute(rate, own, ca.vertcat(*seen.values())) if seen else rate
+    rate = ca.substitute(rate, *_settled(system, seen))
+    names = tuple(system.parameters)
     load = ca.vertcat(symbols["tau_load"], symbols["load_scale"])
     rate = ca.substitute(system.expand(rate), load, ca.DM([0.0, 1.0]))
     torque = symbols["J"] * rate + symbols["a2"] * v
@@ -50,15 +59,28 @@ def _function(
 
 def _is_static(effect: Effect) -> bool:
     """Return whether what an effect does depends on no older input and on no other inertia."""
+    if effect.recorded:
+        return True
     return not (effect.states or effect.output or effect.coupling or effect.bristles)
 
 
-def _settled(system: System) -> tuple[ca.SX, ca.SX]:
+def _recorded(members: Sequence[Effect], symbols: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """Return the states of effects that a recorded motion shows, by their full names."""
+    found = {}
+    for effect in members:
+        if effect.recorded:
+            p = Namespace(dict(symbols), f"{effect.name}.")
+            c = Context(p, p.theta, p.v, p.u, p.time, ca.SX(0))
+            found |= {f"{effect.name}.{name}": x for name, x in effect.recorded(c).items()}
+    return found
+
+
+def _settled(system: System, seen: Collection[str]) -> tuple[ca.SX, ca.SX]:
     """Return the hidden states and the values at which they stay while the servo slides.
 
     Raise `NotStaticError` where their rates are not linear in them.
     """
-    hidden = [name for name in system.states if name not in ("theta", "v")]
+    hidden = [name for name in system.states if name not in ("theta", "v", *seen)]
     states = system.vector(hidden) if hidden else ca.SX(0, 1)
     rates = ca.vertcat(*(system.rates[name] for name in hidden)) if hidden else ca.SX(0, 1)
     slope = ca.jacobian(rates, states)
@@ -77,10 +99,35 @@ def sliding_torque(
     Raise `NotStaticError` where it depends on more than motion and input.
     """
     function, defaults = _function(law, effects, free)
-    known = {**defaults, **values}
+    known = {**defaults, **values, "sample_time": over.h}
+    shown = CONTROLLER.name in effects
     motion: list[Array | float] = [over.theta, over.v, over.u, over.time]
+    motion += [getattr(over, name) if shown else 0.0 for name in RECORDED]
     torque, *slopes = (
         np.broadcast_to(each, over.theta.shape)
         for each in function([*motion, *(known[name] for name in defaults)])
     )
     return np.asarray(torque), np.array(slopes).reshape(len(free), len(over.theta))
+
+
+@lru_cache(maxsize=8)
+def _asked(names: Names) -> Callable[[list[Array | float]], list[Array]]:
+    """Return what a controller asks for, as a function of motion and parameters."""
+    symbols = {name: ca.SX.sym(name) for name in (*MOTION, *names, "sample_time")}
+    found = _recorded([CONTROLLER], symbols)
+    p = Namespace(symbols | found, f"{CONTROLLER.name}.")
+    assert CONTROLLER.command is not None
+    asked = CONTROLLER.command(Context(p, p.theta, p.v, p.u, p.time, ca.SX(0)))
+    return for_arrays(ca.Function("asked", [ca.vertcat(*symbols.values())], [asked]))
+
+
+def drive_torque(effects: Names, values: Mapping[str, float], over: Stretches) -> Array:
+    """Return the torque (samples,) of the input [N.m], or that a controller makes of it."""
+    if CONTROLLER.name not in effects:
+        return np.asarray(values["b"] * over.u)
+    defaults = {p.name: p.default for p in CONTROLLER.parameters}
+    function = _asked(tuple(defaults))
+    motion = [getattr(over, name) for name in MOTION]
+    own = [values.get(name, default) for name, default in defaults.items()]
+    [torque] = function([*motion, *own, over.h])
+    return np.asarray(values["b"] * torque)

@@ -22,8 +22,10 @@ Estimates = Mapping[str, Estimate]
 
 def from_sliding_motion(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
     """Return an answer with the parameters that the sliding motion shows more closely than the
-    segments do.
+    segments do: none where the torque is only asked for.
     """
+    if case.model.controller is not None:
+        return answer
     base = sliding_estimates(case.dataset, case.model, case.base, answer.base)
     fitted = base
     if case.final is not case.base:

@@ -16,11 +16,14 @@ from bristle.model.declarations import (
     packaged_declarations,
 )
 from bristle.model.normalised import OBSERVED
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import NEEDS, VIEWS, Effect
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import ROTARY, Wording
 
 __all__ = ["effect", "effects", "separation"]
+
+BESIDE = {**UNNAMED_TORQUES, CONTROLLER.name: CONTROLLER}  # a model may have them, none is tried
 
 
 @cache
@@ -90,10 +93,10 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for
     an unknown one.
 
-    The unnamed torques are found too, although they are not among `effects`.
+    The unnamed torques and the controller are found too, although they are not among `effects`.
     """
-    if name in UNNAMED_TORQUES:
-        return UNNAMED_TORQUES[name].worded(wording)
+    if (beside := BESIDE.get(name)) is not None:
+        return beside.worded(wording)
     own = _catalogue(wording, False)
     return own[name] if name in own else _packaged(name, wording)
 
