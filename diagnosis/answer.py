@@ -75,6 +75,7 @@ class Reason(StrEnum):
     WIDER_BOUNDS = "wider_bounds"
     # what was noticed before and after the search
     LITTLE_MOTION = "little_motion"
+    RATIOS_TO_GAIN = "ratios_to_gain"
     OUTSIDE_BOUNDS = "outside_bounds"
     COMMON_FACTOR = "common_factor"
     INPUT_CHANGES = "input_changes"
@@ -154,6 +155,7 @@ class Reason(StrEnum):
     SIGN_TURNED = "sign_turned"
     NEVER_NEGATIVE = "never_negative"
     GUESSED_INERTIA = "guessed_inertia"
+    SETPOINT_INPUT = "setpoint_input"
     # why what was found is in doubt
     SUSPECTED = "suspected"
     DOUBT_STRENGTH = "doubt_strength"
@@ -967,6 +969,9 @@ class Proposal:
         records hold that position then.
     loop : float or None
         Frequency [Hz, about] of the position loop that the records show; None if they show none.
+    controller : dict of str to float, or None
+        What the controller that follows a setpoint looks like, relative to J; None for another
+        input.
     """
 
     paths: tuple[Path, ...]
@@ -981,3 +986,4 @@ class Proposal:
     excited: Excitation
     differences: bool
     loop: float | None = None
+    controller: Mapping[str, float] | None = None

@@ -19,19 +19,29 @@ WINDUP = 1e-9  # N.m: overshoot of the limit from which on the integral waits
 _parameter = declaring("controller", f"{SOURCE} section 3.4")
 
 
+def _error(c: Context) -> ca.SX:
+    """Return the error of the position that the controller sees: a lag behind, as its velocity."""
+    return c.u - (c.theta - c.p.lag * c.p.speed)
+
+
 def _asked(c: Context) -> ca.SX:
     """Return what the controller asks for before its limit [N.m]."""
-    error = c.u - c.theta
+    error = _error(c)
     dead = ca.sign(error) * ca.fmax(ca.fabs(error) - c.p.dead_band, 0)
     rate = (c.p.goal - c.p.goal_before) / c.p.sample_time
     opposed = c.p.friction * rate / ca.fmax(ca.fabs(rate), c.p.slow)
     weighted = dead + (c.p.weight - 1) * c.u
-    return c.p.kp * weighted + c.p.integral_torque + c.p.kd * (c.p.forward * rate - c.p.speed) + opposed
+    return (
+        c.p.kp * weighted
+        + c.p.integral_torque
+        + c.p.kd * (c.p.forward * rate - c.p.speed)
+        + opposed
+    )
 
 
 def command(c: Context) -> ca.SX:
-    """T = kp (w r - theta) + ki int(r - theta) + kd (f r' - s) + c sgn(r'), at most the limit, with
-    s the velocity behind a lag.
+    """T = kp (w r - y) + ki int(r - y) + kd (f r' - y') + c sgn(r'), at most the limit, with y the
+    position behind a lag: y' = (theta - y)/tau.
 
     A cascade of a position and a velocity loop is this law too: kd is the gain of its velocity
     loop, kp that times the gain of its position loop, more by its integral action. Source:
@@ -42,7 +52,7 @@ def command(c: Context) -> ca.SX:
 
 def rates(c: Context) -> dict[str, ca.SX]:
     """Integrate the error, as long as the limit does not hold the torque back."""
-    asked, error = _asked(c), c.u - c.theta
+    asked, error = _asked(c), _error(c)
     beyond = ca.logic_and(ca.fabs(asked) > c.p.limit + WINDUP, asked * error > 0)
     return {
         "integral_torque": ca.if_else(beyond, 0, c.p.ki * error),
@@ -73,7 +83,7 @@ CONTROLLER = Effect(
     SOURCE,
     title="controller",
     group="controller",
-    equation="kp (w r - theta) + ki int(r - theta) + kd (f r' - s) + c sgn(r')",
+    equation="kp (w r - y) + ki int(r - y) + kd (f r' - y') + c sgn(r')",
     residual=("u",),
     excitation="steps of the setpoint",
     confounded=(),
@@ -81,7 +91,7 @@ CONTROLLER = Effect(
         _parameter("kp", "kp", "N.m/rad", (1.0, 1e-12, 1e12), "{torque} over error of position"),
         _parameter("ki", "ki", "N.m/(rad.s)", (0.0, 0.0, 1e12), "{torque} over its integral"),
         _parameter("kd", "kd", "N.m.s/rad", (0.0, 0.0, 1e12), "{torque} over error of velocity"),
-        _parameter("lag", "tau", "s", (0.0, 0.0, 0.05), "time constant of its velocity"),
+        _parameter("lag", "tau", "s", (0.0, 0.0, 0.05), "lag of the position that it sees"),
         _parameter("limit", "T_max", "N.m", (1e12, 0.0, 1e12), "largest {torque} it asks for"),
         _parameter("weight", "w", "1", (1.0, 0.0, 2.0), "weight of the setpoint beside kp"),
         _parameter("forward", "f", "1", (1.0, 0.0, 2.0), "weight of the setpoint's rate beside kd"),
@@ -111,7 +121,6 @@ CONTROLLER = Effect(
         "slow": 1e-3,
         "dead_band": 0.0,
         "ki": 0.0,
-        "integral": 0.0,
         "kd": 0.0,
         "lag": 0.0,
     },

@@ -111,7 +111,12 @@ def extension(name: str) -> Extension:
     """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise
     `BristleError` for an unknown one.
     """
-    known = {**effects(packages=False), **SIGNAL_EFFECTS, **UNNAMED_TORQUES, CONTROLLER.name: CONTROLLER}
+    known = {
+        **effects(packages=False),
+        **SIGNAL_EFFECTS,
+        **UNNAMED_TORQUES,
+        CONTROLLER.name: CONTROLLER,
+    }
     if name in known:
         return known[name]
     if name in offered("effects"):

@@ -15,7 +15,7 @@ from bristle.common.unit_names import COUNTS, unit_symbol
 from bristle.records.headings import UNITS, Heading, heading
 from bristle.records.intake import WRAP_SHARE
 from bristle.records.kinematics import NO_KINEMATICS, Kinematics, motion_in
-from bristle.records.layout import INPUT_UNITS, Column
+from bristle.records.layout import INPUT_UNITS, SETPOINT, Column
 
 TURN_COUNTS = 4096  # counts a turn that are assumed where nothing shows them
 COUNTER_STEPS = 50  # steps: an output of whole numbers that covers more of them is a counter
@@ -25,7 +25,7 @@ SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 SHOWN_COLUMNS = 12  # columns that an error lists at most
 # 0: the first choice
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}
-# of a setpoint among outputs, of u and y, of a column of any other name
+# of a setpoint among inputs and outputs, of u and y, of a column of any other name
 SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20
 ROLE_LETTERS = {"u": "input", "y": "output"}  # what control engineers call these
 EVEN_SCATTER = 0.1  # of the median interval: largest scatter of a time that is not called so
@@ -312,6 +312,9 @@ def _time_unit(values: Array) -> str:
 def _inputs(files: Files, asked: str | None) -> list[Candidate]:
     found = []
     for h in files.varying():
+        if h.setpoint and h.quantity == "position" and asked in (None, h.name):
+            found += [goal] if (goal := _goal(files, h)) else []
+            continue
         if asked not in (None, h.name) or (
             asked is None
             and (h.quantity in ("time", "position", "velocity") or _excluded(h, "output"))
@@ -351,6 +354,14 @@ def fitted(candidate: Candidate, linear: bool) -> Candidate:
         kind=kind,
         doubts=(*candidate.doubts, doubt),
     )
+
+
+def _goal(files: Files, h: Heading) -> Candidate | None:
+    """Return a position that a controller follows, in the unit of the position if it has none."""
+    position = files.motion.goals.get(h.name)
+    unit = h.unit or (files.heading(position).unit if position else None)
+    found = _output(files, replace(h, unit=unit, setpoint=False), "position")
+    return found and replace(found, kind=SETPOINT, rank=SETPOINT_RANK)
 
 
 # -- output ----------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
+from bristle.diagnosis.checks.controller import with_controller
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
 from bristle.diagnosis.checks.plausibility import Plausibility, check
@@ -39,6 +40,7 @@ from bristle.diagnosis.estimation.simulator import (
 )
 from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.sliding.stretches import smooth, stretches_of
 from bristle.diagnosis.sliding.torque import drive_torque
 from bristle.plant.controller import CONTROLLER
@@ -46,12 +48,9 @@ from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
-from bristle.plant.servo import J
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
-LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a controller is fitted
-START_LAG = 1e-3  # s: lag of a controller's velocity from which it is fitted
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
@@ -91,7 +90,7 @@ def prepared_case(
     model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
 ) -> PreparedCase | Diagnosis:
     """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
-    model = with_controller(model, records)
+    model = with_controller(model, lambda tried: slides_of(tried, records))
     said = Plausibility((), ()) if model.controller else check(model, records)
     dataset = dataset_of(model, records)
     if said.corrections:
@@ -100,7 +99,7 @@ def prepared_case(
     tell("base refit", 0.0)
     servo, values = base_servo_of(model, dataset)
     base = fit_from_several_starts(dataset, servo, values)
-    case = PreparedCase(model, records, dataset, base, notes, said.notes)
+    case = PreparedCase(model, records, dataset, base, notes, (*said.notes, *_ratios(model)))
     if not has_diverged(dataset, base.fit):
         return case
     if _lacks_much(dataset, servo, values):
@@ -108,39 +107,17 @@ def prepared_case(
     return _in_shorter_segments(case)
 
 
-# -- the controller that follows a setpoint --------------------------------------------------------
-def with_controller(model: Model, records: Sequence[Record]) -> Model:
-    """Return a model with start values of what is not known of its controller, from the motion that
-    slides; as it is where its input is no setpoint.
+def _ratios(model: Model) -> Iterator[Finding]:
+    """Give what is said of torques that were not measured."""
+    if model.controller is not None:
+        kp = model.controller["kp"]
+        yield finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
 
-    Derivative and integral action, and a limit, are taken where the motion is likelier with them.
-    """
-    known = model.controller
-    if known is None:
-        return model
 
-    def fitted(more: Mapping[str, float]) -> tuple[float, Model]:
-        tried = replace(model, effects={**model.effects, CONTROLLER.name: {**more, **known}})
-        dataset = dataset_of(tried, records)
-        slides = sliding_fit(dataset, *base_servo_of(tried, dataset))
-        if slides is None:
-            return -math.inf, tried
-        own = tried.effects[CONTROLLER.name]
-        found = {key: slides.values[f"{CONTROLLER.name}.{key}"] for key in own}
-        # a torque that nothing measures is given in units in which the inertia is the nominal one
-        scale = 1.0 if "kp" in known else inertia / slides.values[J.name]
-        for p in CONTROLLER.parameters:
-            key = p.name.removeprefix(f"{CONTROLLER.name}.")
-            if key in found and "N.m" in p.unit and key not in known:
-                found[key] *= scale
-        return slides.total, replace(tried, effects={**tried.effects, CONTROLLER.name: found})
-
-    inertia = model.parameters[J.name]
-    omegas = (2 * math.pi * np.array(LOOP_FREQUENCIES)).tolist()
-    starts = [{"kp": inertia * w**2, "kd": inertia * w} for w in omegas]
-    total, best = max((fitted(start) for start in starts), key=lambda each: each[0])
-    lag = {"lag": START_LAG, **(best.controller or {})}
-    return replace(best, effects={**best.effects, CONTROLLER.name: lag})
+def slides_of(model: Model, records: Sequence[Record]) -> SlidingFit | None:
+    """Return a model fitted to where the records slide."""
+    dataset = dataset_of(model, records)
+    return sliding_fit(dataset, *base_servo_of(model, dataset))
 
 
 def implausible(
@@ -353,7 +330,8 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
     inactive = {
         key
         for key, value in find_effect(effect).inactive_values.items()
-        if key.removeprefix(f"{effect}.") in given and given[key.removeprefix(f"{effect}.")] == value
+        if key.removeprefix(f"{effect}.") in given
+        and given[key.removeprefix(f"{effect}.")] == value
     }
     for f in free_parameters(
         effect,

@@ -163,16 +163,17 @@ class Chains:
     end: NDArray[np.longlong]
 
 
-def chains_of(segments: Segments) -> list[Chains]:
+def chains_of(segments: Segments, whole_records: bool = False) -> list[Chains]:
     """Return the chains that are simulated one group after the other: parts of records where that
     is quicker, or whole ones.
 
     Where a velocity was measured records stay whole: no segment says where it begins, so the
-    position is the sum of all before.
+    position is the sum of all before. `whole_records` keeps them so too: a controller's integral is
+    such a sum.
     """
     counts = [len(piece.measured) for piece in segments.pieces]
     groups, whole = math.ceil(len(counts) / LANES), max(counts)
-    lengths = [whole] if segments.velocity else range(1, whole + 1)
+    lengths = [whole] if segments.velocity or whole_records else range(1, whole + 1)
     longest = next(
         n for n in lengths if sum(math.ceil(count / n) for count in counts) <= LANES * groups
     )

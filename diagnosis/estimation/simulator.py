@@ -107,7 +107,7 @@ class Simulator:
         self._made_from = law, tuple(effects), tuple(base), dict(fixed)
         self.play = play_parameter(effects)
         self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
-        self._chains = chains_of(segments)
+        self._chains = chains_of(segments, CONTROLLER.name in effects)
         made = law, tuple(sorted(effects)), segments.velocity, tuple(base)
         # its own: diagnoses may run in parallel
         self._lanes = _compiled(*made, len(self._chains[0].times)).twin()

@@ -29,17 +29,19 @@ from bristle.diagnosis.checks.torque_regression import (
     regression_rows,
 )
 from bristle.diagnosis.free_parameter import Free
+from bristle.diagnosis.init.setpoint import relative_to_inertia
 from bristle.diagnosis.modelfile import NO_LIMIT, Model, own_unit
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
 from bristle.diagnosis.sliding.loop import loop_of
 from bristle.diagnosis.sliding.screen import with_position_torques
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, at_rate, candidates, fitted
 from bristle.records.differences import are_differences
 from bristle.records.formats.rate import rate_of
 from bristle.records.formats.reading import read_columns
 from bristle.records.intake import distinct_files, records_of_tables
-from bristle.records.layout import Layout, LayoutTable, layout_of
+from bristle.records.layout import SETPOINT, Layout, LayoutTable, layout_of
 from bristle.records.record import Record
 
 KNOWN_ERRORS = 2.0  # standard errors above 0 from which on a value of the regression is taken
@@ -117,9 +119,13 @@ def propose(
     times, inputs, outputs = _candidates_of(files, asked, _rate(rate))
     best, doubts = _best(files.tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
-    regression = _regression(best)
-    slides = _sliding(best, regression)
-    rough, rough_doubts = _rough(best, regression, slides)
+    controller, slides = None, None
+    if best.input.kind == SETPOINT:
+        rough, controller, rough_doubts = relative_to_inertia(best.layout, best.records)
+    else:
+        regression = _regression(best)
+        slides = _sliding(best, regression)
+        rough, rough_doubts = _rough(best, regression, slides)
     # what was not chosen and what is uncertain
     others = {
         "time": tuple(times[1:]),
@@ -146,6 +152,7 @@ def propose(
         excitation(model, best.records),
         best.layout.differences,
         _loop(slides),
+        controller,
     )
 
 
@@ -189,11 +196,12 @@ def model_of(layout: Layout, rough: Mapping[str, Rough]) -> Model:
     values = {name: each.value for name, each in rough.items()}
     bounds = {name: (each.low, each.high) for name, each in rough.items()}
     full = {"Fc": "coulomb.Fc"}
-    gain = {} if layout.input_kind in ("torque", "force") else {"b": 1.0}
+    gain = {} if layout.drive in ("torque", "force") else {"b": 1.0}
     return Model(
         friction="coulomb",
         parameters={full.get(name, name): x for name, x in values.items()} | gain,
         bounds={full.get(name, name): ends for name, ends in bounds.items()},
+        effects={CONTROLLER.name: {}} if layout.input_kind == SETPOINT else {},
         **vars(layout),
     )
 
@@ -209,7 +217,12 @@ def _best(
     first = [each for each in inputs if each.rank == inputs[0].rank]
     last = [each for each in outputs if each.rank == outputs[0].rank]
     readings = _readings(tables, time, first, last)
-    if readings[0].best < LEAST_SHARE and (len(first) < len(inputs) or len(last) < len(outputs)):
+    goal = inputs[0].kind == SETPOINT
+    if (
+        not goal
+        and readings[0].best < LEAST_SHARE
+        and (len(first) < len(inputs) or len(last) < len(outputs))
+    ):
         others = _readings(tables, time, inputs, outputs)
         readings = others if others[0].best > BETTER_RATIO * readings[0].best else readings
     best, doubts = readings[0], []
@@ -225,7 +238,7 @@ def _best(
             seen = {"explained": best.best, "other": name, "other_explained": share}
             which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
             doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
-    if best.best < LEAST_SHARE:
+    if best.best < LEAST_SHARE and not goal:
         doubts.append(_unexplained(best))
     return best, doubts
 
@@ -250,7 +263,10 @@ def _readings(
     readings, problem = [], None
     same = _same_quantity(tables)
     pairs = [
-        (u, y) for u, y in product(inputs, outputs) if not same(u.column.column, y.column.column)
+        (u, y)
+        for u, y in product(inputs, outputs)
+        if u.column.column != y.column.column
+        and (u.kind == SETPOINT or not same(u.column.column, y.column.column))
     ]
     # of an arm, those of one joint first
     pairs.sort(key=lambda pair: _joint(pair[0]) != _joint(pair[1]))
@@ -301,6 +317,9 @@ def _reading(
     ):
         layout = replace(layout, output_kind="position", differences=True)
         records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
+    if u.kind == SETPOINT:
+        both = [np.concatenate(each) for each in zip(*((r.u, r.y) for r in records), strict=True)]
+        return _Reading(u, y, layout, records, None, float(np.corrcoef(both)[0, 1]) ** 2, 0.0)
     rows = regression_rows([(r.u, r.y) for r in records], records, layout.output_kind == "velocity")
     if rows is None:
         return _Reading(u, y, layout, records, rows, 0.0, 0.0)

@@ -15,11 +15,18 @@ from bristle.diagnosis.answer import Proposal
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.diagnosis.report.text.said import said
 from bristle.model.variables import Parameter
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.friction import law
 from bristle.plant.servo import A2, B, J
 from bristle.records.choice import Candidate
-from bristle.records.layout import INPUT_UNITS
+from bristle.records.layout import INPUT_UNITS, SETPOINT
 
+# of the controller's parameters that are proposed, what they are
+CONTROLLER_WORDS = {
+    p.name.rpartition(".")[2]: p.description.format(torque="torque")
+    for p in CONTROLLER.parameters
+    if p.name.rpartition(".")[2] in ("kp", "ki", "kd")
+}
 WIDTH = 26  # letters before a comment
 
 
@@ -58,6 +65,7 @@ def model_text(proposal: Proposal, command: str) -> str:
     lines += _parameter_lines(proposal)
     lines += ["", _with("[bounds]", "how far each may move; what is not listed stays")]
     lines += [f"{name} = [{rough.low!r}, {rough.high!r}]" for name, rough in proposal.rough.items()]
+    lines += _controller_lines(proposal)
     for role in ("time", "input", "output"):
         candidate: Candidate = getattr(proposal, role)
         lines += ["", f"[{role}]", *_declaration(candidate)]
@@ -69,7 +77,7 @@ def model_text(proposal: Proposal, command: str) -> str:
 
 def _parameter_lines(proposal: Proposal) -> list[str]:
     """Return a line for each rough parameter, with its unit and what is known of it."""
-    linear, kind = proposal.output.linear, proposal.input.kind
+    linear, kind = proposal.output.linear, _drive(proposal)
     gain, declared, lines = kind in ("voltage", "current"), _declared(), []
     for name, rough in proposal.rough.items():
         about = (
@@ -95,6 +103,26 @@ def _parameter_lines(proposal: Proposal) -> list[str]:
         )
         lines.append(_with("b = 1.0", about))
     return lines
+
+
+def _drive(proposal: Proposal) -> str:
+    """Return what drives the axis, for the units of its parameters."""
+    if proposal.input.kind != SETPOINT:
+        return proposal.input.kind
+    return "force" if proposal.output.linear else "torque"
+
+
+def _controller_lines(proposal: Proposal) -> list[str]:
+    """Return the table of the controller, with what the records show of it as comments."""
+    if proposal.controller is None:
+        return []
+    about = "write what you know of it: a kp in N.m/rad makes all torques absolute"
+    shown = [
+        _with(f"# {name} = {proposal.controller[name]:.3g}", CONTROLLER_WORDS[name])
+        for name in CONTROLLER_WORDS
+        if proposal.controller.get(name)
+    ]
+    return ["", _with("[controller]", about), *shown]
 
 
 def _sensor_line(proposal: Proposal) -> str:
@@ -134,8 +162,8 @@ def _declaration(candidate: Candidate) -> list[str]:
     if column.scale is not None:
         lines.append(_with(f"scale = {quoted(column.scale)}", "what one of the unit is worth"))
     others = (
-        "torque, force, voltage or current"
-        if candidate.kind in INPUT_UNITS
+        "torque, force, voltage, current or setpoint"
+        if candidate.kind in (*INPUT_UNITS, SETPOINT)
         else "position or velocity"
     )
     return (
@@ -165,15 +193,23 @@ def summary(proposal: Proposal) -> list[str]:
     # rough parameters, and what the records excite
     units = _declared()
     values = ", ".join(
-        f"{n} {r.value:g} {own_unit(units[n], linear, proposal.input.kind)}"
+        f"{n} {r.value:g} {own_unit(units[n], linear, _drive(proposal))}"
         for n, r in proposal.rough.items()
     )
     per = (
         ""
-        if proposal.input.kind in ("torque", "force")
+        if _drive(proposal) in ("torque", "force")
         else f", for b = 1 {own_unit(B, linear, proposal.input.kind)}"
     )
-    lines.append(f"rough   {values}{per}; they explain {proposal.explained:.0%} of the input")
+    if proposal.controller is None:
+        lines.append(f"rough   {values}{per}; they explain {proposal.explained:.0%} of the input")
+    else:
+        gains = [
+            f"{k} {proposal.controller[k]:.3g}"
+            for k in CONTROLLER_WORDS
+            if proposal.controller.get(k)
+        ]
+        lines.append(f"rough   {values}, of a controller with {', '.join(gains)}")
     length = "m" if linear else "rad"
     speed, band = x["speed_range"], x["input_bandwidth"]["value"]
     lines.append(

@@ -8,10 +8,11 @@ import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.common.toml import mistake
 from bristle.harness.scenario.reading import Loaded
 from bristle.harness.scenario.rig import Rig, normalising
 from bristle.records import Layout, Record, read_record
-from bristle.records.layout import layout_of
+from bristle.records.layout import SETPOINT, layout_of
 from bristle.records.resolution import noise_step
 
 # fraction by which the scenario's step may differ from the record's sampling period
@@ -43,6 +44,9 @@ def read_samples(loaded: Loaded) -> Samples:
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = layout_of(scenario.record, loaded.path, "record.", scenario.record.velocity)
+    if layout.input_kind == SETPOINT:
+        said = "the observers need what drives the servo; give the torque, force, voltage or current"
+        raise mistake(loaded.path, "record.input.kind", SETPOINT, said)
     try:
         record = read_record(layout, loaded.beside(scenario.record.file))
     except BristleError as error:

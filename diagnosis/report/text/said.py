@@ -78,6 +78,11 @@ SENTENCES: dict[Reason, str] = {
     ),
     # what was noticed
     R.LITTLE_MOTION: "too little motion to check signs and units",
+    R.RATIOS_TO_GAIN: (
+        "no torque was measured: J, a2, friction and all other torques are relative to the"
+        " controller's kp, taken as {kp:.4g} {unit}; only their ratios are known, so if you know kp"
+        " or any one of them, scale all by it"
+    ),
     R.OUTSIDE_BOUNDS: (
         "{name} comes out near {value:.3g} {unit} without any effect, outside its bounds"
         " [{bounds[0]:.3g}, {bounds[1]:.3g}]; if that is true, widen them"
@@ -200,6 +205,10 @@ SENTENCES: dict[Reason, str] = {
     R.NEVER_NEGATIVE: (
         "'{column}' is never negative while the input has both signs: was the speed measured"
         " without its sign?"
+    ),
+    R.SETPOINT_INPUT: (
+        "no torque, force, voltage or current: the goal '{column}' is the input, through a"
+        " controller with unknown gains; J = 1, and all else is relative to it"
     ),
     R.GUESSED_INERTIA: "the records hardly show the inertia; J is a guess",
 }
