@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.unnamed_torque import UNNAMED_KNOTS
 from bristle.records.choice import Candidate
@@ -805,7 +806,16 @@ class Diagnosis(_Written):
     def parameters(self) -> dict[str, Estimate]:
         """Parameters of the model, refitted with the effects, without those of the found ones."""
         found = {effect.name for effect in self.found}
-        return {key: e for key, e in self.fitted.items() if key.split(".")[0] not in found}
+        own = {key: e for key, e in self.fitted.items() if key.split(".")[0] not in found}
+        return own | self._scale
+
+    @property
+    def _scale(self) -> dict[str, Estimate]:
+        """The gain that all torques are relative to, where none was measured."""
+        name = f"{CONTROLLER.name}.kp"
+        if self.model.controller is None or "kp" not in self.model.controller:
+            return {}
+        return {name: Estimate(self.model.controller["kp"], self.model.unit(name), None)}
 
     @property
     def records_disagree(self) -> bool:

@@ -483,7 +483,7 @@ def model_text(model: Model) -> str:
     ]
     lines += ["", "[bounds]"]
     lines += [
-        f"{_key(short[name])} = [{float(low)!r}, {float(high)!r}]"
+        f"{_key(short.get(name, name))} = [{float(low)!r}, {float(high)!r}]"
         for name, (low, high) in model.bounds.items()
     ]
     lines += ["", *layout_lines(model)]

@@ -62,7 +62,8 @@ def rates(c: Context) -> dict[str, ca.SX]:
 
 def updates(c: Context) -> dict[str, ca.SX]:
     """Keep the goal of the sample before, for its rate."""
-    return {"goal": c.u, "goal_before": c.p.goal}
+    before = ca.if_else(c.p.begun > 0.5, c.p.goal, c.u)  # no step before the first sample
+    return {"begun": 1, "goal": c.u, "goal_before": before}
 
 
 def recorded(c: Context) -> dict[str, ca.SX]:
@@ -72,6 +73,7 @@ def recorded(c: Context) -> dict[str, ca.SX]:
     return {
         "integral_torque": integral,
         "speed": speed,
+        "begun": ca.SX(1),
         "goal": c.u,
         "goal_before": c.p.u_before,
     }
@@ -107,8 +109,9 @@ CONTROLLER = Effect(
     ),
     rates=rates,
     sampled=(
-        State("goal", "rad", "setpoint", initial=lambda p: p.u),
-        State("goal_before", "rad", "setpoint of the sample before", initial=lambda p: p.u),
+        State("begun", "1", "1 from the first sample on"),
+        State("goal", "rad", "setpoint"),
+        State("goal_before", "rad", "setpoint of the sample before"),
     ),
     updates=updates,
     recorded=recorded,

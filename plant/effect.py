@@ -238,7 +238,7 @@ class Extension:
         [rad.s] as ``p.error_sum``.
     sampled, updates : tuple of State, function
         Own sampled states, updated before an interval is integrated. The `initial` of a state may
-        be a function of the parameters and the first input.
+        be a function of the parameters.
     command : function
         Map of the input before the drive's limit u_max.
     drive : function

@@ -1,0 +1,208 @@
+"""Servos that are given a goal: the controller is found from goal and position alone."""
+
+import math
+import tomllib
+from copy import deepcopy
+
+import numpy as np
+import pytest
+
+from bristle.common.errors import BristleError
+from bristle.diagnosis import diagnose, records_from_arrays
+from bristle.diagnosis.checks.controller import with_controller
+from bristle.diagnosis.checks.preparation import slides_of
+from bristle.diagnosis.init.proposal import propose
+from bristle.diagnosis.modelfile import Model, model_text
+from bristle.diagnosis.report.proposed_model import model_text as proposed_text
+from bristle.harness.scenario.samples import read_samples
+from bristle.harness.scenario.reading import load
+
+STEP = 2 * np.pi / 8192
+TRUE = {"J": 0.01, "a2": 0.2, "Fc": 0.12}
+TREE = {
+    "friction": "coulomb",
+    "parameters": {"J": 0.01, "a2": 0.15, "Fc": 0.1},
+    "bounds": {"J": [0.002, 0.05], "a2": [0.0, 2.0], "Fc": [0.0, 0.6]},
+    "time": {"column": "t", "unit": "s"},
+    "input": {"column": "goal", "kind": "setpoint", "unit": "rad"},
+    "output": {"column": "theta", "kind": "position", "unit": "rad", "resolution": STEP},
+}
+
+
+def goal_of(rng, n, h):
+    """Return steps, ramps and rests (n,)."""
+    at, x, out = 0, 0.0, np.zeros(n)
+    while at < n:
+        length, size = int(rng.uniform(0.2, 1.0) / h), rng.choice([-1, 1]) * rng.uniform(0.05, 2.5)
+        size = -size if abs(x + size) > 6.0 else size
+        ramp = np.minimum(np.arange(length) / (length * rng.choice([0.02, 0.5, 1.0])), 1.0)
+        out[at : at + length] = (x + size * ramp)[: n - at]
+        at, x = at + length, x + size
+    return out
+
+
+def driven(goal, h, gains, extra=lambda theta: 0.0, seed=1):
+    """Return the position of a servo, simulated apart from the package: Coulomb friction by
+    projection, the controller every millisecond.
+    """
+    rng = np.random.default_rng(seed)
+    steps, dt = round(h / 1e-4), 1e-4
+    theta = v = integral = torque = before = noise = 0.0
+    out = np.empty(len(goal))
+    for k, r in enumerate(goal):
+        out[k] = STEP * math.floor(theta / STEP)
+        for i in range(steps):
+            if i % 10 == 0:
+                seen = STEP * math.floor(theta / STEP)
+                integral += gains.get("ki", 0.0) * (r - seen) * 1e-3
+                rate = (seen - before) / 1e-3
+                before = seen
+                torque = gains["kp"] * (r - seen) + integral - gains.get("kd", 0.0) * rate
+                torque = max(-gains.get("limit", 1e9), min(gains.get("limit", 1e9), torque))
+                noise += 0.02 * (rng.normal() * 0.02 - noise)
+            free = v + dt / TRUE["J"] * (torque + noise + extra(theta) - TRUE["a2"] * v)
+            hold = dt / TRUE["J"] * TRUE["Fc"]
+            v = 0.0 if abs(free) <= hold else free - math.copysign(hold, free)
+            theta += dt * v
+    return out
+
+
+def records_of(gains, h=2e-3, seconds=14.0, extra=lambda theta: 0.0):
+    model, columns = Model.from_dict(deepcopy(TREE)), []
+    for k in range(2):
+        goal = goal_of(np.random.default_rng(10 + k), round(seconds / h), h)
+        time = 100.0 * k + h * np.arange(len(goal))
+        columns.append((f"run {k}", time, goal, driven(goal, h, gains, extra, k)))
+    return model, records_from_arrays(model, columns)
+
+
+# -- the model file --------------------------------------------------------------------------------
+def test_a_model_file_with_a_setpoint_reads_back():
+    tree = deepcopy(TREE) | {"controller": {"kp": 4.0, "limit": "0.8 N.m"}}
+    tree["bounds"] |= {"controller.ki": [0.0, 9.0]}
+    model = Model.from_dict(tree)
+    assert model.controller == {"kp": 4.0, "limit": 0.8}
+    assert model.bounds["controller.ki"] == (0.0, 9.0)
+    assert (model.input_unit, model.drive) == ("rad", "torque")
+    assert model.unit("controller.kp") == "N.m/rad"
+    again = Model.from_dict(tomllib.loads(model_text(model)))
+    assert (again.controller, again.bounds) == (model.controller, model.bounds)
+    # what acts on an input acts on the torque that is asked for
+    assert model.unit("saturation.limit") == "N.m"
+
+
+def test_a_linear_axis_has_forces():
+    tree = deepcopy(TREE)
+    tree["input"]["unit"] = tree["output"]["unit"] = "mm"
+    tree["output"]["resolution"] = 0.01
+    model = Model.from_dict(tree)
+    assert (model.input_unit, model.drive, model.controller) == ("m", "force", {})
+    assert model.unit("controller.kp") == "N/m"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"controller": {"kq": 1.0}}, "no parameter of a controller"),
+        ({"controller": {"kp": -1.0}}, "outside"),
+        ({"input": {"column": "u", "kind": "torque", "unit": "N.m"}, "controller": {}}, "setpoint"),
+        ({"output": {"column": "v", "kind": "velocity", "unit": "rad/s"}}, "column of the position"),
+        ({"input": {"column": "goal", "kind": "setpoint", "unit": "N.m"}}, "N.m"),
+    ],
+)
+def test_what_cannot_be_is_one_line(change, said):
+    with pytest.raises(BristleError) as error:
+        Model.from_dict(deepcopy(TREE) | change)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_observers_of_a_scenario_need_what_drives_the_servo(tmp_path):
+    t = np.arange(3000) * 1e-3
+    table = np.column_stack([t, np.sin(t), np.sin(t - 0.05)])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,goal,theta", comments="")
+    lines = ['[observer]\nmethod = "rls"', '[record]\nfile = "a.csv"']
+    lines += ['[record.time]\ncolumn = "t"\nunit = "s"']
+    lines += ['[record.input]\ncolumn = "goal"\nkind = "setpoint"\nunit = "rad"']
+    lines += ['[record.output]\ncolumn = "theta"\nkind = "position"\nunit = "rad"']
+    (tmp_path / "s.toml").write_text("\n".join(lines) + "\n")
+    with pytest.raises(BristleError, match=r"record.input.kind.*observers need what drives"):
+        read_samples(load(tmp_path / "s.toml"))
+
+
+# -- what the motion shows of the controller -------------------------------------------------------
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "gains",
+    [
+        {"kp": 6.0},
+        {"kp": 6.0, "ki": 12.0},
+        {"kp": 6.0, "kd": 0.3},
+        {"kp": 6.0, "limit": 1.2},
+    ],
+    ids=lambda gains: " ".join(gains),
+)
+def test_its_structure_and_its_gains_are_found(gains):
+    model, records = records_of(gains)
+    found = with_controller(model, lambda tried: slides_of(tried, records)).controller
+    assert ("ki" in found) == ("ki" in gains)
+    assert ("limit" in found) == ("limit" in gains)
+    # relative to the nominal inertia, which is the true one
+    assert found["kp"] == pytest.approx(6.0, rel=0.15)
+    for name in ("ki", "limit"):
+        if name in gains:
+            assert found[name] / found["kp"] == pytest.approx(gains[name] / 6.0, rel=0.05)
+
+
+def test_what_is_known_stays():
+    model, records = records_of({"kp": 6.0}, seconds=6.0)
+    known = Model.from_dict(deepcopy(TREE) | {"controller": {"kp": 6.0}})
+    found = with_controller(known, lambda tried: slides_of(tried, records)).controller
+    assert found["kp"] == 6.0
+
+
+def test_without_a_setpoint_a_model_stays_as_it_is():
+    tree = deepcopy(TREE) | {"input": {"column": "u", "kind": "torque", "unit": "N.m"}}
+    model = Model.from_dict(tree)
+    assert with_controller(model, lambda tried: pytest.fail("tried")) is model
+
+
+# -- the diagnosis ---------------------------------------------------------------------------------
+@pytest.mark.long
+def test_cogging_is_named_through_the_loop_and_ratios_are_right():
+    amplitude = 0.08
+    model, records = records_of(
+        {"kp": 6.0}, extra=lambda theta: amplitude * math.sin(9 * theta + 1.0)
+    )
+    answer = diagnose(model, records)
+    content = answer.to_dict()
+    assert [each["name"] for each in content["effects"]] == ["cogging"]
+    kp = content["parameters"]["controller.kp"]["value"]
+    assert content["parameters"]["controller.kp"]["ci95"] is None
+    found = content["effects"][0]["parameters"]
+    assert found["amplitude"]["value"] / kp == pytest.approx(amplitude / 6.0, rel=0.05)
+    assert found["periods"]["value"] == pytest.approx(9.0, abs=0.05)
+    friction = content["parameters"]["coulomb.Fc"]
+    assert friction["value"] / kp == pytest.approx(TRUE["Fc"] / 6.0, rel=0.05)
+    low, high = content["parameters"]["J"]["ci95"]
+    assert low / kp < TRUE["J"] / 6.0 < high / kp
+    assert any("only their ratios are known" in line for line in content["findings"])
+
+
+# -- the proposal ----------------------------------------------------------------------------------
+def test_goal_and_position_alone_are_proposed_as_a_setpoint(tmp_path):
+    model, records = records_of({"kp": 6.0}, seconds=8.0)
+    path = tmp_path / "log.csv"
+    table = np.column_stack([records[0].time - records[0].time[0], records[0].u, records[0].y])
+    header = "time [s],goal_position [rad],present_position [rad]"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    found = propose([path])
+    assert (found.input.kind, found.input.column.column) == ("setpoint", "goal_position [rad]")
+    assert found.output.column.column == "present_position [rad]"
+    assert found.rough["J"].value == 1.0
+    assert found.controller["kp"] == pytest.approx(6.0 / TRUE["J"], rel=0.3)
+    written = Model.from_dict(tomllib.loads(proposed_text(found, "next")))
+    assert written.controller == {}
+    assert written.parameters["coulomb.Fc"] / found.controller["kp"] == pytest.approx(
+        TRUE["Fc"] / 6.0, rel=0.2
+    )
