@@ -2,12 +2,12 @@
 
     python benchmarks/setpoint.py --cases 120 --out out/setpoint > benchmarks/results/setpoint.md
 
-Each pair of records is of a direct drive or a geared motor that follows a goal by a P, PI, PD or PID
-controller or a cascade of a position and a velocity loop, with a velocity that is filtered, a
-period of 1 ms and, in a third of the cases, a limit that is hit. Goal and position are logged at 50
-to 1000 Hz, by an encoder of 1000 to 131072 counts; no torque is. A third of the cases hide
-nothing, the others one effect of 0.2 to 2 of Fc. The cases are seeded by the hash of the commit
-under test. An interrupted run continues with the cases that are missing in its folder.
+Each pair of records is of a direct drive or a geared motor that follows a goal by a P, PI, PD or
+PID controller or a cascade of a position and a velocity loop, with a velocity that is filtered, a
+period of 1 ms and, in a third of the cases, a limit of the drive's torque. Goal and position are
+logged at 50 to 1000 Hz, by an encoder of 1000 to 131072 counts; no torque is. A third of the cases
+hide nothing, the others one effect of 0.2 to 2 of Fc. The cases are seeded by the hash of the
+commit under test. An interrupted run continues with the cases that are missing in its folder.
 """
 
 from __future__ import annotations
@@ -99,10 +99,11 @@ def diagnose_one(commit: str, k: int, target: Path) -> None:
     gains["disturbance"] = log_uniform(rng, 0.02, 0.06)
     counts = round(log_uniform(rng, 1000, 131072))
     truth.RESOLUTION, truth.CORNER = 2 * math.pi / counts, log_uniform(rng, 0.5, 30.0)
-    plant, names, strength = dict(true) | truth.base_friction(true["J"], true["Fc"]), (), math.nan
+    plant, names = dict(true) | truth.base_friction(true["J"], true["Fc"]), list[str]()
+    strength = log_uniform(rng, *STRENGTH)
     if k % 3:
-        own = [name for name in HIDDEN if not (name == "bias" and gains["ki"])]
-        names, strength = (str(rng.choice(own)),), log_uniform(rng, *STRENGTH)
+        possible = [name for name in HIDDEN if not (name == "bias" and gains["ki"])]
+        names.append(str(rng.choice(possible)))
         plant |= EFFECTS[names[0]](rng, strength * true["Fc"], true, 1.0)
     records = measured_by(rng, plant, gains, every, rate=loop in ("PD", "PID"))
     off = {name: log_uniform(rng, 1 / OFF, OFF) for name in ("a2", "Fc")}
@@ -160,7 +161,7 @@ def rows(cases: Sequence[Json]) -> None:
         ("loop:", lambda c: c["drawn"]["loop"]),
         ("rate [Hz]:", lambda c: c["drawn"]["rate"]),
         ("", lambda c: c["drawn"]["kind"]),
-        ("limit:", lambda c: "hit" if c["drawn"]["limited"] else "none"),
+        ("limit:", lambda c: "there" if c["drawn"]["limited"] else "none"),
         ("hidden:", lambda c: (c["hidden"] or ["nothing"])[0]),
         ("", lambda c: "all"),
     ]
@@ -188,6 +189,13 @@ def report(cases: Sequence[Json]) -> None:
     )
     print("controls:\n\n| ratio | cases | within 5 % | median error | intervals that cover |")
     print("|---|---|---|---|---|")
+    _ratio_rows(cases)
+    seconds = [case["wall"] for case in cases]
+    print(f"\nWall time: {np.median(seconds):.0f} s in the median, {max(seconds):.0f} s at most.")
+
+
+def _ratio_rows(cases: Sequence[Json]) -> None:
+    """Print how far the ratios are off, and how often their intervals cover."""
     right = [c for c in cases if judged(c) in ("right", "nothing named")]
     told = [ratios(case) for case in right]
     for name in RATIOS:
@@ -196,8 +204,6 @@ def report(cases: Sequence[Json]) -> None:
         covered = "-" if name == "damping" else str(sum(inside for _, inside in own))
         within, median = int(np.sum(errors < 0.05)), 100 * float(np.median(errors))
         print(f"| {name}/kp | {len(own)} | {within} | {median:.1f} % | {covered} |")
-    seconds = [case["wall"] for case in cases]
-    print(f"\nWall time: {np.median(seconds):.0f} s in the median, {max(seconds):.0f} s at most.")
 
 
 def main() -> None:

@@ -123,6 +123,8 @@ class Model(Layout):
 
     def unit_in_fmu(self, name: str, unit: str) -> str:
         """Return the unit of a variable of a plant FMU, by its name and its unit in ServoPlant."""
+        if name == "u":
+            return self.input_unit
         return unit_on(name, unit, self.linear, self.drive)
 
     def allowed(self, name: str) -> tuple[float, float]:

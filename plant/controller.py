@@ -21,7 +21,7 @@ _parameter = declaring("controller", f"{SOURCE} section 3.4")
 
 def _error(c: Context) -> ca.SX:
     """Return the error of the position that the controller sees: a lag behind, as its velocity."""
-    return c.u - (c.theta - c.p.lag * c.p.speed)
+    return ca.SX(c.u - (c.theta - c.p.lag * c.p.speed))
 
 
 def _asked(c: Context) -> ca.SX:
@@ -31,12 +31,8 @@ def _asked(c: Context) -> ca.SX:
     rate = (c.p.goal - c.p.goal_before) / c.p.sample_time
     opposed = c.p.friction * rate / ca.fmax(ca.fabs(rate), c.p.slow)
     weighted = dead + (c.p.weight - 1) * c.u
-    return (
-        c.p.kp * weighted
-        + c.p.integral_torque
-        + c.p.kd * (c.p.forward * rate - c.p.speed)
-        + opposed
-    )
+    damped = c.p.kd * (c.p.forward * rate - c.p.speed)
+    return ca.SX(c.p.kp * weighted + c.p.integral_torque + damped + opposed)
 
 
 def command(c: Context) -> ca.SX:
@@ -63,7 +59,7 @@ def rates(c: Context) -> dict[str, ca.SX]:
 def updates(c: Context) -> dict[str, ca.SX]:
     """Keep the goal of the sample before, for its rate."""
     before = ca.if_else(c.p.begun > 0.5, c.p.goal, c.u)  # no step before the first sample
-    return {"begun": 1, "goal": c.u, "goal_before": before}
+    return {"begun": ca.SX(1), "goal": c.u, "goal_before": before}
 
 
 def recorded(c: Context) -> dict[str, ca.SX]:

@@ -12,9 +12,10 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effects import effects
 from bristle.plant.friction import law_names
-from bristle.records.layout import INPUT_UNITS
+from bristle.records.layout import INPUT_UNITS, SETPOINT
 
 INPUT_KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
 ADVICE = "give a model file beside the FMU"
@@ -39,7 +40,9 @@ def fmu_model(path: Path) -> Model:
     starts, outputs, chosen = _read(path)
     fmu = Fmu(path)
     unit = fmu.unit(INPUT) if fmu.has(INPUT, "input") else "V"
+    controller = _controller_of(starts)
     kind = next((kind for kind, own in INPUT_UNITS.items() if own == unit), "voltage")
+    kind = SETPOINT if controller else kind
     gained = ("J", "a2", "b") if kind in ("voltage", "current") else ("J", "a2")
     for name in gained:
         if name not in starts:
@@ -55,8 +58,8 @@ def fmu_model(path: Path) -> Model:
         "effects": _effects_of(starts),
         "output": _output_of(fmu, "theta" if "theta" in outputs else "v"),
         "time": {"column": "t", "unit": "s"},
-        "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS[kind]},
-    }
+        "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS.get(kind, unit)},
+    } | ({"controller": controller} if controller else {})
     return Model.from_dict(tree, f"FMU {path}")
 
 
@@ -74,6 +77,12 @@ def _effects_of(starts: Mapping[str, float]) -> dict[str, dict[str, float]]:
         if parameter and effect in effects():
             by_effect.setdefault(effect, {})[parameter] = x
     return {effect: by_effect[effect] for effect in effects() if effect in by_effect}
+
+
+def _controller_of(starts: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of the controller that follows a setpoint; empty without one."""
+    prefix = f"{CONTROLLER.name}."
+    return {k.removeprefix(prefix): x for k, x in starts.items() if k.startswith(prefix)}
 
 
 def _output_of(fmu: Fmu, shown: str) -> dict[str, Any]:

@@ -119,25 +119,18 @@ def propose(
     times, inputs, outputs = _candidates_of(files, asked, _rate(rate))
     best, doubts = _best(files.tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
-    controller, slides = None, None
-    if best.input.kind == SETPOINT:
-        rough, controller, rough_doubts = relative_to_inertia(best.layout, best.records)
-    else:
-        regression = _regression(best)
-        slides = _sliding(best, regression)
-        rough, rough_doubts = _rough(best, regression, slides)
+    seen = _servo_of(best)
     # what was not chosen and what is uncertain
     others = {
         "time": tuple(times[1:]),
         "input": _other(inputs, best.input),
         "output": _other(outputs, best.output),
     }
-    model = model_of(best.layout, rough)
     doubted: list[Line] = [
         *times[0].doubts,
         *best.input.doubts,
         *best.output.doubts,
-        *(*doubts, *sign_doubt, *rough_doubts, *_one_sign(best)),
+        *(*doubts, *sign_doubt, *seen.doubts, *_one_sign(best)),
     ]
     return Proposal(
         tuple(listed),
@@ -145,15 +138,35 @@ def propose(
         best.input,
         best.output,
         others,
-        rough,
+        seen.rough,
         tuple(_distinct(doubted)),
         tuple(best.records),
         best.share,
-        excitation(model, best.records),
+        excitation(model_of(best.layout, seen.rough), best.records),
         best.layout.differences,
-        _loop(slides),
-        controller,
+        seen.loop,
+        seen.controller,
     )
+
+
+@dataclass(frozen=True)
+class _Servo:
+    """Rough parameters, what is uncertain of them, and the loop or controller that is seen."""
+
+    rough: dict[str, Rough]
+    doubts: list[Finding]
+    loop: float | None = None
+    controller: Mapping[str, float] | None = None
+
+
+def _servo_of(best: _Reading) -> _Servo:
+    """Return what the records show of the servo."""
+    if best.input.kind == SETPOINT:
+        rough, controller, doubts = relative_to_inertia(best.layout, best.records)
+        return _Servo(rough, doubts, controller=controller)
+    regression = _regression(best)
+    slides = _sliding(best, regression)
+    return _Servo(*_rough(best, regression, slides), _loop(slides))
 
 
 def _rate(given: str | None) -> float | None:
@@ -217,12 +230,9 @@ def _best(
     first = [each for each in inputs if each.rank == inputs[0].rank]
     last = [each for each in outputs if each.rank == outputs[0].rank]
     readings = _readings(tables, time, first, last)
-    goal = inputs[0].kind == SETPOINT
-    if (
-        not goal
-        and readings[0].best < LEAST_SHARE
-        and (len(first) < len(inputs) or len(last) < len(outputs))
-    ):
+    if inputs[0].kind == SETPOINT:
+        return readings[0], []
+    if readings[0].best < LEAST_SHARE and (len(first) < len(inputs) or len(last) < len(outputs)):
         others = _readings(tables, time, inputs, outputs)
         readings = others if others[0].best > BETTER_RATIO * readings[0].best else readings
     best, doubts = readings[0], []
@@ -238,7 +248,7 @@ def _best(
             seen = {"explained": best.best, "other": name, "other_explained": share}
             which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
             doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
-    if best.best < LEAST_SHARE and not goal:
+    if best.best < LEAST_SHARE:
         doubts.append(_unexplained(best))
     return best, doubts
 

@@ -191,25 +191,7 @@ def summary(proposal: Proposal) -> list[str]:
         f"output  {_of(proposal.output)}, {proposal.output.kind}{steps}{_or(proposal, 'output')}",
     ]
     # rough parameters, and what the records excite
-    units = _declared()
-    values = ", ".join(
-        f"{n} {r.value:g} {own_unit(units[n], linear, _drive(proposal))}"
-        for n, r in proposal.rough.items()
-    )
-    per = (
-        ""
-        if _drive(proposal) in ("torque", "force")
-        else f", for b = 1 {own_unit(B, linear, proposal.input.kind)}"
-    )
-    if proposal.controller is None:
-        lines.append(f"rough   {values}{per}; they explain {proposal.explained:.0%} of the input")
-    else:
-        gains = [
-            f"{k} {proposal.controller[k]:.3g}"
-            for k in CONTROLLER_WORDS
-            if proposal.controller.get(k)
-        ]
-        lines.append(f"rough   {values}, of a controller with {', '.join(gains)}")
+    lines.append(_rough_line(proposal))
     length = "m" if linear else "rad"
     speed, band = x["speed_range"], x["input_bandwidth"]["value"]
     lines.append(
@@ -228,6 +210,26 @@ def summary(proposal: Proposal) -> list[str]:
         why = said(proposal.excited.uniform)
         notes.append(f"these records cannot tell effects apart by form: {why}")
     return [*lines, *(f"  - {said(line)}" for line in (*notes, *proposal.excited.caveats))]
+
+
+def _rough_line(proposal: Proposal) -> str:
+    """Return the rough parameters, and what they explain."""
+    linear = proposal.output.linear
+    units = _declared()
+    values = ", ".join(
+        f"{n} {r.value:g} {own_unit(units[n], linear, _drive(proposal))}"
+        for n, r in proposal.rough.items()
+    )
+    per = (
+        ""
+        if _drive(proposal) in ("torque", "force")
+        else f", for b = 1 {own_unit(B, linear, proposal.input.kind)}"
+    )
+    if proposal.controller is None:
+        return f"rough   {values}{per}; they explain {proposal.explained:.0%} of the input"
+    own = proposal.controller
+    gains = [f"{k} {own[k]:.3g}" for k in CONTROLLER_WORDS if own.get(k)]
+    return f"rough   {values}, of a controller with {', '.join(gains)}"
 
 
 def _or(proposal: Proposal, role: str) -> str:

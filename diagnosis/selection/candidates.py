@@ -32,6 +32,7 @@ from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, bristle_starts
 from bristle.diagnosis.sliding.screen import Start
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effects import effect as find_effect
 
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
@@ -118,6 +119,12 @@ class EffectFit:
         return all(low <= self.fit.values[name] <= high for name, (low, high) in own.items())
 
 
+def _beside(effects: Sequence[str]) -> str:
+    """Return what progress says of the effects that a model has."""
+    present = ", ".join(name for name in effects if name != CONTROLLER.name)
+    return f" beside {present}" if present else ""
+
+
 def fit_candidates(
     context: SearchContext, names: Sequence[str], effort: Effort, done: Sequence[EffectFit] = ()
 ) -> tuple[list[EffectFit], Null]:
@@ -127,8 +134,7 @@ def fit_candidates(
     context.prepare()
     begun: list[str] = []
     known = {c.name: c for c in done}
-    present = ", ".join(context.fitted.servo.effects)
-    beside = f" beside {present}" if present else ""
+    beside = _beside(context.fitted.servo.effects)
 
     def screened(name: str) -> EffectFit:
         if name in known:

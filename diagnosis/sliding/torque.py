@@ -66,7 +66,7 @@ def _is_static(effect: Effect) -> bool:
 
 def _recorded(members: Sequence[Effect], symbols: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """Return the states of effects that a recorded motion shows, by their full names."""
-    found = {}
+    found: dict[str, ca.SX] = {}
     for effect in members:
         if effect.recorded:
             p = Namespace(dict(symbols), f"{effect.name}.")

@@ -45,7 +45,9 @@ def read_samples(loaded: Loaded) -> Samples:
     assert scenario.record is not None
     layout = layout_of(scenario.record, loaded.path, "record.", scenario.record.velocity)
     if layout.input_kind == SETPOINT:
-        said = "the observers need what drives the servo; give the torque, force, voltage or current"
+        said = (
+            "the observers need what drives the servo; give the torque, force, voltage or current"
+        )
         raise mistake(loaded.path, "record.input.kind", SETPOINT, said)
     try:
         record = read_record(layout, loaded.beside(scenario.record.file))

@@ -14,8 +14,8 @@ from bristle.diagnosis.checks.preparation import slides_of
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.proposed_model import model_text as proposed_text
-from bristle.harness.scenario.samples import read_samples
 from bristle.harness.scenario.reading import load
+from bristle.harness.scenario.samples import read_samples
 
 STEP = 2 * np.pi / 8192
 TRUE = {"J": 0.01, "a2": 0.2, "Fc": 0.12}
@@ -106,7 +106,10 @@ def test_a_linear_axis_has_forces():
         ({"controller": {"kq": 1.0}}, "no parameter of a controller"),
         ({"controller": {"kp": -1.0}}, "outside"),
         ({"input": {"column": "u", "kind": "torque", "unit": "N.m"}, "controller": {}}, "setpoint"),
-        ({"output": {"column": "v", "kind": "velocity", "unit": "rad/s"}}, "column of the position"),
+        (
+            {"output": {"column": "v", "kind": "velocity", "unit": "rad/s"}},
+            "column of the position",
+        ),
         ({"input": {"column": "goal", "kind": "setpoint", "unit": "N.m"}}, "N.m"),
     ],
 )
@@ -155,7 +158,7 @@ def test_its_structure_and_its_gains_are_found(gains):
 
 
 def test_what_is_known_stays():
-    model, records = records_of({"kp": 6.0}, seconds=6.0)
+    _, records = records_of({"kp": 6.0}, seconds=6.0)
     known = Model.from_dict(deepcopy(TREE) | {"controller": {"kp": 6.0}})
     found = with_controller(known, lambda tried: slides_of(tried, records)).controller
     assert found["kp"] == 6.0
@@ -191,7 +194,7 @@ def test_cogging_is_named_through_the_loop_and_ratios_are_right():
 
 # -- the proposal ----------------------------------------------------------------------------------
 def test_goal_and_position_alone_are_proposed_as_a_setpoint(tmp_path):
-    model, records = records_of({"kp": 6.0}, seconds=8.0)
+    _, records = records_of({"kp": 6.0}, seconds=8.0)
     path = tmp_path / "log.csv"
     table = np.column_stack([records[0].time - records[0].time[0], records[0].u, records[0].y])
     header = "time [s],goal_position [rad],present_position [rad]"

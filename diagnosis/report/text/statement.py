@@ -63,7 +63,11 @@ def statement(d: Diagnosis) -> tuple[str, ...]:
         return tuple(leads)
     if d.corrections:
         return (*leads, f"{TIGHT_BOUNDS} Proposed: {'; '.join(map(said, d.corrections))}.")
-    whole = [] if d.whole is None else [open_loop_line(d.whole, d.whole.horizons[0].seconds)]
+    whole = (
+        []
+        if d.whole is None
+        else [open_loop_line(d.whole, d.whole.horizons[0].seconds, d.model.controller is not None)]
+    )
     return (*leads, *answer_lines(d), *whole)
 
 
@@ -181,16 +185,16 @@ def _error(d: Diagnosis) -> str:
     return f"The rms error of the output on held-out segments {changes}."
 
 
-def open_loop_line(whole: WholeRecords, segment: float) -> str:
-    """Return the line on whole records; `segment` is the length of a segment [s]."""
+def open_loop_line(whole: WholeRecords, segment: float, follows: bool = False) -> str:
+    """Return the line on whole records; `segment` is the length of a segment [s]; `follows`: a
+    controller in the model follows a setpoint.
+    """
     unit, last = whole.records[0].unit, whole.horizons[-1]
+    how = "with its controller" if follows else "in open loop"
     if not math.isfinite(last.after):
-        return (
-            "In open loop over whole records the simulation fails: use the model over short times"
-            " only."
-        )
+        return f"Simulated {how} over whole records it fails: use the model over short times only."
     line = (
-        f"Simulated in open loop over whole records, the model is {last.after:.3g} {unit} rms from"
+        f"Simulated {how} over whole records, the model is {last.after:.3g} {unit} rms from"
         " what was measured"
     )
     # compared with before
