@@ -76,6 +76,7 @@ class Reason(StrEnum):
     WIDER_BOUNDS = "wider_bounds"
     # what was noticed before and after the search
     LITTLE_MOTION = "little_motion"
+    KNOWN_TORQUE_OFF = "known_torque_off"
     RATIOS_TO_GAIN = "ratios_to_gain"
     OUTSIDE_BOUNDS = "outside_bounds"
     COMMON_FACTOR = "common_factor"

@@ -22,6 +22,7 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import law_names
+from bristle.plant.known import KNOWN
 from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
 from bristle.plant.wording import Wording
@@ -29,6 +30,7 @@ from bristle.records.formats.reading import READERS
 from bristle.records.layout import (
     INPUT_UNITS,
     SETPOINT,
+    KnownTable,
     Layout,
     LayoutTable,
     layout_lines,
@@ -58,6 +60,9 @@ class ModelTable(LayoutTable):
     controller: dict[str, Given] | None = None
     """What is known of the controller that follows a `setpoint`: `kp`, `ki`, `kd`, `limit` and
     more; what is missing is estimated."""
+    known: KnownTable | None = None
+    """Columns of what is known at each sample: a `torque` against the motor, and the `inertia` or
+    an `inertia_factor` on J, of the rest of an arm, say."""
     variables: dict[str, str | dict[str, str | float]] = Field(default={})
     """Names of a plant FMU's variables where they are not u, theta and v, by these: `u =
     "voltage"`, or `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one
@@ -300,7 +305,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         )
         raise mistake(where, "friction", table.friction, message)
     # parameters and bounds, by the names that the law declares
-    law, layout = find_law(table.friction), layout_of(table, where)
+    law, layout = find_law(table.friction), layout_of(table, where, known=table.known)
     gain = () if layout.drive in ("torque", "force") else (B,)
     file = _File(where, law, {p.name: p for p in (J, A2, *gain, *law.parameters)}, layout)
     parameters = _parameters(file, table.parameters)
@@ -313,6 +318,9 @@ def _model(table: ModelTable, where: Path | str) -> Model:
     # effects that exclude each other, or the law, are refused here
     effects = {name: _effect(file, name, given) for name, given in table.effects.items()}
     effects |= {} if controller is None else {CONTROLLER.name: controller}
+    effects |= {KNOWN.name: {"scale": 1.0, **effects.get(KNOWN.name, {})}} if layout.known else {}
+    if KNOWN.name in effects and not layout.known:
+        raise file.mistake(f"effects.{KNOWN.name}", None, "there is no table [known]; add it")
     if effects:
         try:
             servo(law, False, [find_effect(name) for name in effects])

@@ -21,7 +21,12 @@ from bristle.diagnosis.answer import (
     finding,
 )
 from bristle.diagnosis.checks.input_hold import with_input_share
-from bristle.diagnosis.checks.preparation import PreparedCase, notes_of, prepared_case
+from bristle.diagnosis.checks.preparation import (
+    PreparedCase,
+    notes_of,
+    prepared_case,
+    with_known,
+)
 from bristle.diagnosis.checks.records import check_arguments
 from bristle.diagnosis.experiment.design import designed_experiment
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
@@ -308,7 +313,7 @@ def validate(
         If there is no record, or the model cannot be simulated.
     """
     check_arguments(model, records)
-    records, notes = on_one_clock(model, records)
+    records, notes = on_one_clock(model, [with_known(model, record) for record in records])
     name = model.friction if model.path is None else model.path.name
     simulation = model_simulation(model, records[0].h)
     return validated(name, model, records, simulation, notes, start_samples)

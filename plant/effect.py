@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.model.system import System
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter, State, Variable
 from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
@@ -236,6 +236,10 @@ class Extension:
         Values of all own states from a recorded motion: its context also has the acceleration
         as ``p.a``, the input of the sample before as ``p.u_before`` and the integral of u - theta
         [rad.s] as ``p.error_sum``.
+    inputs : tuple of Variable
+        Own inputs, which its functions see as ``p.name``.
+    inertia : function
+        Factor on the inertia of the servo.
     sampled, updates : tuple of State, function
         Own sampled states, updated before an interval is integrated. The `initial` of a state may
         be a function of the parameters.
@@ -278,6 +282,8 @@ class Extension:
     rates: Callable[[Context], dict[str, SX]] | None = None
     follow: Callable[[Context, SX, SX], dict[str, SX]] | None = None
     recorded: Callable[[Context], dict[str, SX]] | None = None
+    inputs: tuple[Variable, ...] = ()
+    inertia: Callable[[Context], SX] | None = None
     sampled: tuple[State, ...] = ()
     updates: Callable[[Context], dict[str, SX]] | None = None
     command: Callable[[Context], SX] | None = None
@@ -516,6 +522,13 @@ class Effects:
             if effect.torque is not None and effect.load_side is load_side:
                 start = start + effect.torque(c)
         return start
+
+    def inertia(self, j: SX) -> SX:
+        """Return the inertia of the servo."""
+        for effect, c in self.having("inertia"):
+            assert effect.inertia is not None
+            j = effect.inertia(c) * j
+        return j
 
     def load(self) -> SX:
         """Return the constant torque that acts as a load."""

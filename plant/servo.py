@@ -70,6 +70,9 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
         system.parameter(parameter)
     u, tau_load, load_scale = _inputs(system)
+    for effect in ordered:
+        for own in effect.inputs:
+            system.input(replace(own, name=f"{effect.name}.{own.name}"))
     theta = system.state(State("theta", "rad", "position", initial=start[0]))
     v = system.state(State("v", "rad/s", "velocity", initial=start[1]))
     p = system.namespace(f"{law.name}.")
@@ -81,7 +84,8 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     motor = b * work.input("drive", ca.fmin(ca.fmax(asked, -u_max), u_max))
     dry, bound, backward = work.friction(law, friction, load_scale, motor, j)
     bristles = work.bristles(law, friction.bound)
-    torque, inertia, kept = _bodies(system, work, (j, a2, bound), motor, tau_load)
+    body = work.inertia(j), a2, bound
+    torque, inertia, kept = _bodies(system, work, body, motor, tau_load)
     smooth = kept * (dry + a2 * v)
     bound, backward = _scaled(kept, bound), _scaled(kept, backward)
     # rates

@@ -12,10 +12,8 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.packages import offered
 from bristle.model.generator import MODULUS, normal, scrambled
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import LONGEST_DELAY, Context, Extension
-from bristle.plant.effects import effect, effects
-from bristle.plant.unnamed_torque import UNNAMED_TORQUES
+from bristle.plant.effects import BESIDE, effect, effects
 
 __all__ = ["SIGNAL_EFFECTS", "extension"]
 
@@ -108,15 +106,10 @@ SIGNAL_EFFECTS = {each.name: each for each in (INPUT_NOISE, MEASUREMENT_DELAY)}
 
 
 def extension(name: str) -> Extension:
-    """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise
-    `BristleError` for an unknown one.
+    """Return the effect `name`: of `plant/effects`, of this file or what a model may have beside;
+    raise `BristleError` for an unknown one.
     """
-    known = {
-        **effects(packages=False),
-        **SIGNAL_EFFECTS,
-        **UNNAMED_TORQUES,
-        CONTROLLER.name: CONTROLLER,
-    }
+    known = {**effects(packages=False), **SIGNAL_EFFECTS, **BESIDE}
     if name in known:
         return known[name]
     if name in offered("effects"):

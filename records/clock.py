@@ -172,4 +172,6 @@ def _resampled(record: Record, h: float) -> Record:
         for values in (record.y, record.velocity)
     )
     assert y is not None
-    return replace(record, time=grid, u=np.diff(area) / h, y=y, velocity=velocity, resampled=True)
+    known = {name: np.interp(grid, time, values) for name, values in record.known.items()}
+    same = replace(record, time=grid, u=np.diff(area) / h, y=y, velocity=velocity, known=known)
+    return replace(same, resampled=True)

@@ -5,7 +5,7 @@ refuse the record.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -162,9 +162,10 @@ def records_from_arrays(
     ----------
     layout : Layout
         What the arrays are; its column names and units are not used.
-    arrays : iterable of (name, time, u, y)
+    arrays : iterable of (name, time, u, y) or (name, time, u, y, known)
         Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`, or
-        velocities if it says `differences`.
+        velocities if it says `differences`; `known` is a dict of such arrays, by the names of the
+        layout's `known`.
     needs : Requirements
         What the records must have; `BristleError` says what one lacks.
     """
@@ -209,7 +210,8 @@ def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     }
     if layout.rate is not None:
         found = {"time": np.arange(len(found["output"])) / layout.rate, **found}
-    raw = Raw(name, str(path), *vectors(str(path), *found.values()))
+    first = [found.pop(key, None) for key in COLUMN_NAMES]
+    raw = Raw.of(name, str(path), vectors(str(path), *first, known=found))
     for line in columns.findings:
         raw.say(line)
     return raw
@@ -241,17 +243,23 @@ def _name(path: Path, others: Sequence[Path]) -> str:
 def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
     """Check that each entry is a record in memory; errors name it as it is named there."""
     for number, entry in enumerate(entries, start=1):
-        if not isinstance(entry, list | tuple) or len(entry) != 4:
+        if not isinstance(entry, list | tuple) or len(entry) not in (4, 5):
             raise BristleError(f"record {number}: is not (name, time, u, y); give these four")
-        name, *columns = entry
-        yield Raw(name, name, *vectors(name, *columns))
+        name, *columns = entry[:4]
+        known = entry[4] if len(entry) == 5 else {}
+        if not isinstance(known, Mapping):
+            raise BristleError(
+                f"record {name}: what is known is a {type(known).__name__}; give a dict of arrays"
+            )
+        named = {f"known.{key}": values for key, values in known.items()}
+        yield Raw.of(name, name, vectors(name, *columns, known=named))
 
 
 # -- records together ------------------------------------------------------------------------------
 def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[Record]:
     """Check and repair records, and bring them to one sampling period."""
     records: list[Record] = []
-    before: dict[str, list[Array]] = {}
+    before: dict[str, dict[str, Array]] = {}
     origin: float | None = None
     for raw in raws:
         if raw.where in before:
@@ -262,7 +270,7 @@ def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[R
         _cut_ends(raw)
         _must_be_possible(layout, raw)
         for other, columns in before.items():
-            if all(map(_same, raw.columns, columns)):
+            if all(_same(x, columns[key]) for key, x in raw.columns.items()):
                 raise raw.error(
                     f"is the same as {other}; a copy is no second measurement: leave it out"
                 )
@@ -324,7 +332,7 @@ def _report_constant_input(layout: Layout, record: Record) -> Record:
 # -- one record ------------------------------------------------------------------------------------
 def _cut_ends(raw: Raw) -> None:
     """Leave out samples that are not finite at the ends; interpolate a few between, refuse more."""
-    table = np.column_stack(raw.columns)
+    table = np.column_stack([*raw.columns.values()])
     whole = np.asarray(np.all(np.isfinite(table), axis=1))
     if whole.all():
         return
@@ -344,7 +352,7 @@ def _cut_ends(raw: Raw) -> None:
 
 def _bridge(raw: Raw) -> None:
     """Interpolate a few samples that are not finite; refuse many, or many in a row."""
-    for key, values in zip(COLUMN_NAMES, raw.columns, strict=False):
+    for key, values in raw.columns.items():
         bad = ~np.isfinite(values)
         if not bad.any():
             continue
@@ -375,11 +383,11 @@ def _between(values: Array, good: NDArray[np.bool_], bad: NDArray[np.bool_]) -> 
 def _must_be_possible(layout: Layout, raw: Raw) -> None:
     """Refuse values that no rig gives."""
     units = {"time": "s"} | {key: unit for key, (_, unit) in layout.columns.items()}
-    for key, values, unit in zip(COLUMN_NAMES, raw.columns, units.values(), strict=False):
+    for key, values in raw.columns.items():
         most = float(np.max(np.abs(values)))
         if most > LARGEST_VALUE or 0.0 < most < SMALLEST_VALUE:
             allowed = f"allowed {SMALLEST_VALUE:g} to {LARGEST_VALUE:g}; check its column and unit"
-            raise raw.error(f"{key} reaches {most:.3g} {unit}, {allowed}")
+            raise raw.error(f"{key} reaches {most:.3g} {units[key]}, {allowed}")
 
 
 def _too_short(raw: Raw, needs: Requirements) -> BristleError:
@@ -410,17 +418,15 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
     records, dropped = [], []
     for number, (start, end) in enumerate(runs, start=1):
         which = "" if len(runs) == 1 else f"[{number}]"
-        piece = Raw(
-            raw.name + which, raw.where + which, *(column[start:end] for column in raw.columns)
-        )
+        columns = {key: column[start:end] for key, column in raw.columns.items()}
+        piece = Raw.of(raw.name + which, raw.where + which, columns)
         if why := _unusable(piece, resolution, needs):
             dropped.append((piece.name, why))
             continue
         time, period, uneven = clock(piece)
         facts = (tuple(piece.lines), resolution, wrapped, uneven)
-        records.append(
-            Record(piece.name, time, period, piece.u, piece.y, *facts, velocity=piece.velocity)
-        )
+        beside = {"velocity": piece.velocity, "known": piece.known}
+        records.append(Record(piece.name, time, period, piece.u, piece.y, *facts, **beside))
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = (

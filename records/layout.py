@@ -4,7 +4,8 @@ files and in scenarios.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,13 @@ from bristle.records.formats.rate import rate_of
 SETPOINT = "setpoint"  # kind of an input that is a goal for the output
 # SI unit of each other kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
+
+
+# SI unit of what may be known at each sample
+KNOWN_UNITS = {
+    "rotary": {"torque": "N.m", "inertia": "kg.m2", "inertia_factor": "1"},
+    "linear": {"torque": "N", "inertia": "kg", "inertia_factor": "1"},
+}
 
 
 # -- what a file may hold --------------------------------------------------------------------------
@@ -66,6 +74,18 @@ class OutputTable(Column):
     """
 
 
+class KnownTable(Section):
+    """What is known of the servo at each sample."""
+
+    torque: Column | None = None
+    """Column of a torque (or force) that acts against the motion, such as that of the rest of an
+    arm."""
+    inertia: Column | None = None
+    """Column of the inertia (or mass) in the place of J."""
+    inertia_factor: Column | None = None
+    """Column of the factor on J, in the place of `inertia`."""
+
+
 class LayoutTable(Section):
     """The three tables [time], [input] and [output]."""
 
@@ -100,6 +120,8 @@ class Layout:
         A velocity that was recorded besides the position.
     differences : bool
         Whether the column of the output holds the differences of a position, as a velocity.
+    known : dict of str to Column
+        Columns of what is known at each sample: "torque", "inertia", "inertia_factor".
     """
 
     time: Column | None = None
@@ -112,6 +134,7 @@ class Layout:
     linear: bool = False
     velocity: Column | None = None
     differences: bool = False
+    known: Mapping[str, Column] = field(default_factory=dict)
 
     @property
     def input_unit(self) -> str:
@@ -143,11 +166,10 @@ class Layout:
             "input": (self.input, self.input_unit),
             "output": (self.output, read),
         }
-        return (
-            found
-            if self.velocity is None
-            else {**found, "velocity": (self.velocity, _output_unit("velocity", self.linear))}
-        )
+        if self.velocity is not None:
+            found["velocity"] = self.velocity, _output_unit("velocity", self.linear)
+        units = KNOWN_UNITS["linear" if self.linear else "rotary"]
+        return found | {f"known.{key}": (x, units[key]) for key, x in self.known.items()}
 
 
 def _output_unit(kind: str, linear: bool) -> str:
@@ -155,10 +177,14 @@ def _output_unit(kind: str, linear: bool) -> str:
 
 
 def layout_of(
-    table: LayoutTable, where: Path | str, prefix: str = "", velocity: Column | None = None
+    table: LayoutTable,
+    where: Path | str,
+    prefix: str = "",
+    velocity: Column | None = None,
+    known: KnownTable | None = None,
 ) -> Layout:
     """Return the layout that the tables of a file describe; `velocity` is that of a velocity
-    besides the position.
+    besides the position, `known` what is known at each sample.
 
     An error is one line that begins with the file, `where`; `prefix` precedes the names of the
     tables in it ("record.").
@@ -185,6 +211,7 @@ def layout_of(
         resolution=_resolution(table.output, where, prefix, linear),
         velocity=None if velocity is None else _column(velocity),
         differences=differences,
+        known=_known(known, where),
     )
     if velocity is not None and table.output.kind == "velocity":
         raise mistake(
@@ -237,6 +264,16 @@ def _rate(table: TimeTable, where: Path | str, prefix: str) -> float | None:
         return rate_of(table.rate)
     except BristleError as error:
         raise mistake(where, f"{prefix}time.rate", table.rate, str(error)) from None
+
+
+def _known(table: KnownTable | None, where: Path | str) -> dict[str, Column]:
+    """Return the columns of what is known at each sample."""
+    given = {} if table is None else {key: getattr(table, key) for key in KNOWN_UNITS["rotary"]}
+    found = {key: _column(column) for key, column in given.items() if column is not None}
+    if {"inertia", "inertia_factor"} <= set(found):
+        said = "is given beside known.inertia; remove one of them"
+        raise mistake(where, "known.inertia_factor", found["inertia_factor"].column, said)
+    return found
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
@@ -299,11 +336,11 @@ def layout_lines(layout: Layout) -> list[str]:
         lines.append("differences = true")
     if layout.resolution is not None and not layout.differences:
         lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
-    return (
-        lines
-        if layout.velocity is None
-        else [*lines, "", "[velocity]", *_column_lines(layout.velocity)]
-    )
+    if layout.velocity is not None:
+        lines += ["", "[velocity]", *_column_lines(layout.velocity)]
+    for key, column in layout.known.items():
+        lines += ["", f"[known.{key}]", *_column_lines(column)]
+    return lines
 
 
 def _column_lines(column: Column) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,6 +43,8 @@ class Record:
         Share of the next sample in `u`, where the input was found to change between the samples.
     velocity : ndarray, shape (n,), or None
         Velocity that was recorded besides the position.
+    known : dict of str to ndarray, shape (n,)
+        What else is known of the servo at each sample, by what the layout calls it, in SI.
 
     Raises
     ------
@@ -61,19 +64,20 @@ class Record:
     resampled: bool = False
     ahead: float = 0.0
     velocity: Array | None = None
+    known: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        columns = vectors(self.name, self.time, self.u, self.y, self.velocity)
-        for key, name, column in zip(
-            ("time", "u", "y", "velocity"), COLUMN_NAMES, columns, strict=False
-        ):
+        found = vectors(self.name, self.time, self.u, self.y, self.velocity, self.known)
+        for name, column in found.items():
             if not np.isfinite(column).all():
                 k = int(np.argmin(np.isfinite(column)))
                 raise BristleError(
                     f"record {self.name}: {name} is not finite at sample {k}; repair it or cut the"
                     " record"
                 )
-            object.__setattr__(self, key, column)
+        for key, name in zip(("time", "u", "y", "velocity"), COLUMN_NAMES, strict=True):
+            object.__setattr__(self, key, found.pop(name, None))
+        object.__setattr__(self, "known", found)
         h: object = self.h
         if not isinstance(h, int | float | np.number) or not 0.0 < float(h) < np.inf:
             raise BristleError(
@@ -102,7 +106,8 @@ class Record:
         """Return a part of the record."""
         velocity = None if self.velocity is None else self.velocity[which]
         time, u, y = self.time[which], self.u[which], self.y[which]
-        return replace(self, time=time, u=u, y=y, velocity=velocity)
+        known = {name: values[which] for name, values in self.known.items()}
+        return replace(self, time=time, u=u, y=y, velocity=velocity, known=known)
 
 
 @dataclass
@@ -117,12 +122,22 @@ class Raw:
     u: Array
     y: Array
     velocity: Array | None = None
+    known: dict[str, Array] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list, kw_only=True)
 
+    @classmethod
+    def of(cls, name: str, where: str, columns: Mapping[str, Array]) -> Raw:
+        """Return the record of these columns, by their names."""
+        time, u, y = (columns[key] for key in COLUMN_NAMES[:3])
+        rest = {key: x for key, x in columns.items() if key not in COLUMN_NAMES}
+        velocity = columns.get("velocity")
+        return cls(name, where, time, u, y, velocity, rest)
+
     @property
-    def columns(self) -> list[Array]:
-        """Time, input, output and, where it was recorded, velocity."""
-        return [self.time, self.u, self.y, *([] if self.velocity is None else [self.velocity])]
+    def columns(self) -> dict[str, Array]:
+        """All columns by their names: time, input, output, perhaps velocity, and what is known."""
+        velocity = {} if self.velocity is None else {"velocity": self.velocity}
+        return {"time": self.time, "input": self.u, "output": self.y, **velocity, **self.known}
 
     def say(self, line: str) -> None:
         self.lines.append(f"record {self.name}: {line}")
@@ -134,19 +149,24 @@ class Raw:
         """Leave out all other samples."""
         self.time, self.u, self.y = self.time[chosen], self.u[chosen], self.y[chosen]
         self.velocity = None if self.velocity is None else self.velocity[chosen]
+        self.known = {name: values[chosen] for name, values in self.known.items()}
 
 
-def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:
-    """Return time, input, output and, if it is given, velocity of a record as vectors of one
-    length; masked samples are NaN.
+def vectors(
+    name: object,
+    time: ArrayLike,
+    u: ArrayLike,
+    y: ArrayLike,
+    velocity: ArrayLike | None = None,
+    known: Mapping[str, ArrayLike] | None = None,
+) -> dict[str, Array]:
+    """Return time, input, output and, if it is given, velocity of a record, and what else is known
+    of it, as vectors of one length, by their names; masked samples are NaN.
     """
     if not isinstance(name, str):
         raise BristleError(f"record {name}: its name is a {type(name).__name__}; give text")
-    found = {
-        key: _vector(name, key, values)
-        for key, values in zip(COLUMN_NAMES, columns, strict=False)
-        if values is not None
-    }
+    given = dict(zip(COLUMN_NAMES, (time, u, y, velocity), strict=True)) | dict(known or {})
+    found = {key: _vector(name, key, values) for key, values in given.items() if values is not None}
     if len({len(values) for values in found.values()}) > 1:
         sizes = ", ".join(f"{key} {len(values)}" for key, values in found.items())
         raise BristleError(
@@ -155,7 +175,7 @@ def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:
         )
     if not len(found["time"]):
         raise BristleError(f"record {name}: holds no sample; check the columns")
-    return list(found.values())
+    return found
 
 
 def _vector(name: str, key: str, values: ArrayLike) -> Array:

@@ -23,6 +23,7 @@ from bristle.diagnosis.checks.torque_regression import (
     regression_rows,
 )
 from bristle.diagnosis.modelfile import Model
+from bristle.plant.known import KNOWN
 from bristle.records.layout import Column
 from bristle.records.record import Record
 
@@ -141,7 +142,7 @@ def _regression(model: Model, records: Sequence[Record]) -> Regression | None:
 def _as_given(model: Model, records: Sequence[Record]) -> list[tuple[Array, Array]]:
     """Return torque and output of the records."""
     gain = model.parameters.get("b", 1.0)
-    return [(r.u * gain, r.y) for r in records]
+    return [(r.u * gain - r.known.get(f"{KNOWN.name}.torque", 0.0), r.y) for r in records]
 
 
 def _nominal(model: Model) -> Array:

@@ -48,6 +48,8 @@ from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
+from bristle.plant.known import KNOWN
+from bristle.plant.servo import J
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
@@ -90,6 +92,7 @@ def prepared_case(
     model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
 ) -> PreparedCase | Diagnosis:
     """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
+    records = [with_known(model, record) for record in records]
     model = with_controller(model, lambda tried: slides_of(tried, records))
     said = Plausibility((), ()) if model.controller else check(model, records)
     dataset = dataset_of(model, records)
@@ -179,11 +182,14 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         )
     resolution, grid = _resolution_of(model, long), Grid(h, width, bins, velocity)
     # the segments, their smoothed motion, and which effects these records can show
-    pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution) for r in long)
+    long = [with_known(model, r) for r in long]
+    pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution, r.known) for r in long)
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
-    stretches = stretches_of([(r.time, r.u, r.y) for r in long], h, velocity, resolution)
+    known = {name: np.concatenate([r.known[name] for r in long]) for name in long[0].known}
+    parts = [(r.time, r.u, r.y) for r in long]
+    stretches = stretches_of(parts, h, velocity, resolution, known)
     shown = excitation(model, records)
     if model.controller is not None:
         asked = drive_torque(tuple(model.effects), model.settings(), stretches)
@@ -203,6 +209,14 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
         h >= SLOW_SAMPLING and not any(r.ahead for r in records),
     )
+
+
+def with_known(model: Model, record: Record) -> Record:
+    """Return a record whose inertia is given as a factor on J, as the servo takes it."""
+    known = dict(record.known)
+    if (inertia := known.pop(f"{KNOWN.name}.inertia", None)) is not None:
+        known[f"{KNOWN.name}.inertia_factor"] = inertia / model.parameters[J.name]
+    return replace(record, known=known)
 
 
 def _resolution_of(model: Model, records: Sequence[Record]) -> float:

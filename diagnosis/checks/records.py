@@ -70,5 +70,12 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
         )
     if not records:
         raise BristleError("no record is given; give at least one")
+    for record in records:
+        for key in model.known:
+            if f"known.{key}" not in record.known:
+                raise BristleError(
+                    f"record {record.name}: lacks the known {key}, which the model has a column"
+                    " of; read it with load_records, or give it to records_from_arrays"
+                )
     must_agree(records)
     must_show(model, records)

@@ -47,7 +47,7 @@ class Grid:
 @dataclass(frozen=True)
 class Piece:
     """One record as consecutive segments: time of the first sample [s], inputs (segments * bins *
-    width,), measured averages (segments, bins), states at the starts (segments, 2) with their
+    width,), others by their names, measured averages (segments, bins), states at the starts (segments, 2) with their
     standard deviations; length of the whole record [s], with what follows its last segment."""
 
     name: str
@@ -57,6 +57,7 @@ class Piece:
     initial: Array
     initial_sd: Array
     seconds: float
+    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,15 @@ class Segments(Grid):
     """
 
     pieces: tuple[Piece, ...]
+
+    @cached_property
+    def inputs(self) -> dict[str, Array]:
+        """Inputs of all records, one after the other, by the names that a servo gives them."""
+        others = {
+            name: np.concatenate([piece.others[name] for piece in self.pieces])
+            for name in self.pieces[0].others
+        }
+        return {"u": np.concatenate([piece.u for piece in self.pieces]), **others}
 
     def timed(self, times: Sequence[float]) -> Segments:
         """Return the same with other times of the first samples of the records [s]."""
@@ -219,10 +229,19 @@ class Motion:
     record: NDArray[np.int_]
 
 
-def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: float) -> Piece:
+def cut(
+    name: str,
+    time: float,
+    u: Array,
+    y: Array,
+    grid: Grid,
+    resolution: float,
+    known: Mapping[str, Array] | None = None,
+) -> Piece:
     """Return one record as segments; the samples after the last whole segment are dropped.
 
-    Parameters: time of the first sample [s]; input u and output y (n,); resolution of the output.
+    Parameters: time of the first sample [s]; input u and output y (n,); resolution of the output;
+    other inputs (n,) by their names.
     """
     h, bins, width = grid.h, grid.bins, grid.width
     length = width * bins
@@ -241,9 +260,9 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
             [np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])]
         )
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
-    return Piece(
-        name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u)
-    )
+    seconds, u = h * len(u), np.ascontiguousarray(u[: n * length])
+    others = {key: np.ascontiguousarray(x[: n * length]) for key, x in (known or {}).items()}
+    return Piece(name, time, u, measured, initial, initial_sd, seconds, others)
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:

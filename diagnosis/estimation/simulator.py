@@ -117,7 +117,10 @@ class Simulator:
         known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
         for name in known.keys() & program.index.keys():
             self._v[program.index[name]] = known[name]
-        self._u = np.concatenate([piece.u for piece in segments.pieces])
+        given = segments.inputs
+        self._u, count = given["u"], len(given["u"])
+        self._inputs = np.array([given[name] for name in given]).reshape(-1, count)
+        self._places = np.array([program.index[name] for name in given], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
         self._place_starts(list(program.variants[program.chosen].system.states))
 
@@ -212,8 +215,10 @@ class Simulator:
                 s.bins,
                 s.width,
                 ctypes.c_double(s.h),
-                self._lanes.program.index["u"],
-                pointer(self._u),
+                len(self._places),
+                pointer(self._places),
+                pointer(self._inputs),
+                ctypes.c_longlong(self._inputs.shape[1]),
                 len(self._set),
                 pointer(self._set),
                 pointer(self._column),
@@ -280,7 +285,9 @@ class Simulator:
             if name in index:
                 v[index[name]] = value
         table = np.repeat(v[:, None], len(chains.first), axis=1)
-        table[index["u"]] = self._u[chains.first * self.segments.bins * self.segments.width]
+        table[self._places] = self._inputs[
+            :, chains.first * self.segments.bins * self.segments.width
+        ]
         for name, column in zip(START_STATES, starts[chains.first].T, strict=False):
             if not (self.segments.velocity and name == "theta_start"):
                 table[index[name]] = column

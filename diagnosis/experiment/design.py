@@ -156,7 +156,7 @@ def design(case: SearchedCase, answer: Diagnosis, options: SearchOptions) -> Des
     large as theirs.
     """
     rivals = tuple(rivals_of(case, answer))
-    if len(rivals) < 2:
+    if len(rivals) < 2 or case.model.known:  # nobody knows what an arm does in a new motion
         return None
     # what the records keep to
     s, m = case.dataset.segments, case.dataset.motion

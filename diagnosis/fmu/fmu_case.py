@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Diagnosis, Finding, Line, Progress, Reason, finding
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.checks.preparation import (
@@ -51,6 +52,8 @@ def prepared_fmu_case(
     sense; `told`: where progress goes, and the seconds that a simulation may take.
     """
     tell, timeout = told
+    if model.known:
+        raise BristleError("[known] is no input of a plant FMU; diagnose with a model file instead")
     dataset, said = dataset_of(model, records), check(model, records)
     segments, how = simulate_segments(fmu, dataset, tell, timeout)
     simulated = replace(dataset, segments=segments)

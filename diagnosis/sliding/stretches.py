@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -26,8 +26,8 @@ SETTLING = 6  # first samples of a stretch that do not count
 class Stretches:
     """Records, one after the other, and the stretches [begin, end) of them that slide.
 
-    `measured`, `u`, `time`, `record` (samples,): as in the records; `theta`, `v`, `a`: the smoothed
-    motion.
+    `measured`, `u`, `time`, `record`, `known` (samples,): as in the records; `theta`, `v`, `a`: the
+    smoothed motion.
     """
 
     h: float
@@ -41,6 +41,7 @@ class Stretches:
     a: Array
     begin: NDArray[np.int64]
     end: NDArray[np.int64]
+    known: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def counted(self) -> NDArray[np.int64]:
@@ -103,9 +104,15 @@ def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
 
 
 def stretches_of(
-    records: Sequence[tuple[Array, Array, Array]], h: float, velocity: bool, resolution: float
+    records: Sequence[tuple[Array, Array, Array]],
+    h: float,
+    velocity: bool,
+    resolution: float,
+    known: Mapping[str, Array] | None = None,
 ) -> Stretches:
-    """Return the stretches of records, each (time, input, output) of n samples."""
+    """Return the stretches of records, each (time, input, output) of n samples; `known`: other
+    inputs of all records, one after the other.
+    """
     half = max(SMOOTHING, LEAST_REACH * h)
     motions = [_motion(y, h, half, velocity) for _, _, y in records]
     speed = np.concatenate([v for _, v, _ in motions])
@@ -120,7 +127,7 @@ def stretches_of(
     time, u, y = (np.concatenate(each).astype(float) for each in zip(*records, strict=True))
     theta, v, a = (np.concatenate(each) for each in zip(*motions, strict=True))
     record = np.repeat(np.arange(len(records)), [len(each[0]) for each in records])
-    return Stretches(h, velocity, y, u, time, record, theta, v, a, begin, end)
+    return Stretches(h, velocity, y, u, time, record, theta, v, a, begin, end, known or {})
 
 
 def _motion(y: Array, h: float, half: float, velocity: bool) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ from bristle.diagnosis.stages.bounds import bound_notes
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.diagnosis.stages.conclusion import is_unaligned
 from bristle.plant.effects import effect as find_effect
+from bristle.plant.known import KNOWN
 
 
 def remarks(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
@@ -17,6 +18,7 @@ def remarks(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
         *bound_notes(case.model, answer.base, answer.fitted),
         *_position_notes(case, answer),
         *_clock_notes(case, answer),
+        *_scale_notes(answer),
     )
     # what is left is not known before the wider bounds are tried
     remains = NOTHING_LEFT if answer.corrections else answer.remains
@@ -29,6 +31,14 @@ def _position_notes(case: SearchedCase, answer: Diagnosis) -> list[Finding]:
     names = (*(e.name for e in answer.effects), *answer.rounds[-1].undecided)
     depends = answer.remains.flag or any(find_effect(name).position_dependent for name in names)
     return [finding(Reason.UNKNOWN_POSITIONS)] if is_unaligned(case) and depends else []
+
+
+def _scale_notes(answer: Diagnosis) -> list[Finding]:
+    """Return a note where a known torque is too large or too small."""
+    scale = answer.fitted.get(f"{KNOWN.name}.scale")
+    if scale is None or scale.ci95 is None or scale.ci95[0] <= 1.0 <= scale.ci95[1]:
+        return []
+    return [finding(Reason.KNOWN_TORQUE_OFF, scale=scale.value, ci95=scale.ci95)]
 
 
 def _clock_notes(case: SearchedCase, answer: Diagnosis) -> list[Finding]:

@@ -123,7 +123,11 @@ def _stretches_of(record: Record, grid: Grid, resolution: float) -> Piece:
         np.pad(record.u, (0, more))[: n * length],
         np.pad(record.y, (0, more), mode="edge")[: n * length],
     )
-    piece = cut(record.name, float(record.time[0]), u, y, grid, resolution)
+    known = {
+        name: np.pad(values, (0, more), mode="edge")[: n * length]
+        for name, values in record.known.items()
+    }
+    piece = cut(record.name, float(record.time[0]), u, y, grid, resolution, known)
     # a smoothed velocity is that of the middle of its window, which the start of a record is not
     if not grid.velocity:
         window = record.h * np.arange(

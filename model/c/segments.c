@@ -84,10 +84,11 @@ static void add_shown(Lanes *l, double width, Number *row)
 
 /* Simulate segments of bins averages over width steps of length h, in lane k from first[k] to end[k] and from its time times[k] on.
  * What stands before begin[k] only leads the hidden states in, and writes nothing. A lane whose simulation fails goes on with fresh
- * states in the next segment. The lanes have been initialised. For all segments: values of the one input (bins * width each), starts
- * (n_set + n_loose), seen (bins), sens (bins, Q) or 0, good. */
+ * states in the next segment. The lanes have been initialised. For all segments: values of the inputs, one after the other (bins * width
+ * a segment, `total` an input), starts (n_set + n_loose), seen (bins), sens (bins, Q) or 0, good. */
 EXPORT void lanes_segments(Lanes *l, const double *times, const long long *first, const long long *begin, const long long *end,
-                           int bins, int width, double h, int input, const double *values, int n_set, const int *set,
+                           int bins, int width, double h, int n_inputs, const int *inputs,
+                           const double *values, long long total, int n_set, const int *set,
                            const int *column, const int *leader, double *starts, int n_loose, const int *loose,
                            const int *against, const int *loose_column, int observed, double *seen, double *sens,
                            unsigned char *good)
@@ -128,7 +129,8 @@ EXPORT void lanes_segments(Lanes *l, const double *times, const long long *first
             Number sum = {0.0};
             for (int q = 0; q < Q; q++) row[q] = ALL(0.0);
             for (long long i = (long long)b * width; i < (long long)(b + 1) * width; i++) {
-                for (int k = 0; k < LANES; k++) l->v[input][k] = values[at[k] * length + i];
+                for (int j = 0; j < n_inputs; j++)
+                    for (int k = 0; k < LANES; k++) l->v[inputs[j]][k] = values[j * total + at[k] * length + i];
                 if (i == 0) WIDE.outputs(l->v, ALL(0.0), 0, l->on); /* the states were just set */
                 sum += l->v[observed];
                 if (sens) add_shown(l, width, row);

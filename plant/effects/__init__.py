@@ -18,12 +18,17 @@ from bristle.model.declarations import (
 from bristle.model.normalised import OBSERVED
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import NEEDS, VIEWS, Effect
+from bristle.plant.known import KNOWN
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import ROTARY, Wording
 
 __all__ = ["effect", "effects", "separation"]
 
-BESIDE = {**UNNAMED_TORQUES, CONTROLLER.name: CONTROLLER}  # a model may have them, none is tried
+BESIDE = {
+    **UNNAMED_TORQUES,
+    CONTROLLER.name: CONTROLLER,
+    KNOWN.name: KNOWN,
+}  # a model may have them, none is tried
 
 
 @cache
@@ -93,7 +98,8 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for
     an unknown one.
 
-    The unnamed torques and the controller are found too, although they are not among `effects`.
+    The unnamed torques, the controller and what is known are found too, although they are not among
+    `effects`.
     """
     if (beside := BESIDE.get(name)) is not None:
         return beside.worded(wording)

@@ -78,6 +78,10 @@ SENTENCES: dict[Reason, str] = {
     ),
     # what was noticed
     R.LITTLE_MOTION: "too little motion to check signs and units",
+    R.KNOWN_TORQUE_OFF: (
+        "the known torque fits best times {scale:.3f} ({ci95[0]:.3f} to {ci95[1]:.3f}): the mass,"
+        " the gravity or the gear of the model that it comes from is off by as much"
+    ),
     R.RATIOS_TO_GAIN: (
         "no torque was measured: J, a2, friction and all other torques are relative to the"
         " controller's kp, taken as {kp:.4g} {unit}; only their ratios are known, so if you know kp"
