@@ -70,9 +70,6 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
         system.parameter(parameter)
     u, tau_load, load_scale = _inputs(system)
-    for effect in ordered:
-        for own in effect.inputs:
-            system.input(replace(own, name=f"{effect.name}.{own.name}"))
     theta = system.state(State("theta", "rad", "position", initial=start[0]))
     v = system.state(State("v", "rad/s", "velocity", initial=start[1]))
     p = system.namespace(f"{law.name}.")
@@ -139,7 +136,7 @@ def _described(what: str, effects: Sequence[Extension]) -> str:
 
 
 def _declare_states(system: System, law: FrictionLaw, effects: Sequence[Extension]) -> None:
-    """Declare the states of the law and, under their names, of the effects."""
+    """Declare the states of the law and, under their names, of the effects with their inputs."""
     p = system.namespace(f"{law.name}.")
     for state in law.states:
         system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
@@ -147,6 +144,8 @@ def _declare_states(system: System, law: FrictionLaw, effects: Sequence[Extensio
         system.mode(mode)
     for effect in effects:
         p = system.namespace(f"{effect.name}.")
+        for own in effect.inputs:
+            system.input(replace(own, name=f"{effect.name}.{own.name}"))
         for state in effect.states:
             system.state(_started(effect, state, p))
         for state in effect.sampled:

@@ -210,8 +210,10 @@ def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     }
     if layout.rate is not None:
         found = {"time": np.arange(len(found["output"])) / layout.rate, **found}
-    first = [found.pop(key, None) for key in COLUMN_NAMES]
-    raw = Raw.of(name, str(path), vectors(str(path), *first, known=found))
+    time, u, y = (found.pop(key) for key in COLUMN_NAMES[:3])
+    raw = Raw.of(
+        name, str(path), vectors(str(path), time, u, y, found.pop("velocity", None), found)
+    )
     for line in columns.findings:
         raw.say(line)
     return raw
@@ -245,14 +247,14 @@ def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
     for number, entry in enumerate(entries, start=1):
         if not isinstance(entry, list | tuple) or len(entry) not in (4, 5):
             raise BristleError(f"record {number}: is not (name, time, u, y); give these four")
-        name, *columns = entry[:4]
+        name, time, u, y = entry[:4]
         known = entry[4] if len(entry) == 5 else {}
         if not isinstance(known, Mapping):
             raise BristleError(
                 f"record {name}: what is known is a {type(known).__name__}; give a dict of arrays"
             )
         named = {f"known.{key}": values for key, values in known.items()}
-        yield Raw.of(name, name, vectors(name, *columns, known=named))
+        yield Raw.of(name, name, vectors(name, time, u, y, known=named))
 
 
 # -- records together ------------------------------------------------------------------------------
@@ -425,8 +427,8 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
             continue
         time, period, uneven = clock(piece)
         facts = (tuple(piece.lines), resolution, wrapped, uneven)
-        beside = {"velocity": piece.velocity, "known": piece.known}
-        records.append(Record(piece.name, time, period, piece.u, piece.y, *facts, **beside))
+        read = Record(piece.name, time, period, piece.u, piece.y, *facts, velocity=piece.velocity)
+        records.append(replace(read, known=piece.known))
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = (

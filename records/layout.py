@@ -220,6 +220,12 @@ def layout_of(
             "velocity",
             f"[{prefix}velocity] is given as well; remove one of them",
         )
+    _must_differ(layout, where, prefix)
+    return layout
+
+
+def _must_differ(layout: Layout, where: Path | str, prefix: str) -> None:
+    """Refuse a unit that is none of its quantity, and a column in two roles."""
     roles: dict[str, str] = {}
     for key, (column, unit) in layout.columns.items():
         try:
@@ -233,7 +239,6 @@ def layout_of(
             )
             raise mistake(where, f"{prefix}{key}.column", column.column, message)
         roles[column.column] = key
-    return layout
 
 
 def _column(table: Column) -> Column:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bristle.common.errors import BristleError
+from bristle.common.table import Array
 from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
 from bristle.diagnosis.checks.controller import with_controller
 from bristle.diagnosis.checks.excitation import excitation
@@ -19,6 +20,7 @@ from bristle.diagnosis.estimation.dataset import (
     STATE_SMOOTHING,
     Dataset,
     Grid,
+    Piece,
     Segments,
     cut,
     motion,
@@ -41,7 +43,7 @@ from bristle.diagnosis.estimation.simulator import (
 from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
-from bristle.diagnosis.sliding.stretches import smooth, stretches_of
+from bristle.diagnosis.sliding.stretches import Stretches, smooth, stretches_of
 from bristle.diagnosis.sliding.torque import drive_torque
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import RecordedMotion
@@ -183,19 +185,16 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
     resolution, grid = _resolution_of(model, long), Grid(h, width, bins, velocity)
     # the segments, their smoothed motion, and which effects these records can show
     long = [with_known(model, r) for r in long]
-    pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution, r.known) for r in long)
+    pieces = tuple(
+        cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution).beside(r.known) for r in long
+    )
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
-    known = {name: np.concatenate([r.known[name] for r in long]) for name in long[0].known}
-    parts = [(r.time, r.u, r.y) for r in long]
-    stretches = stretches_of(parts, h, velocity, resolution, known)
-    shown = excitation(model, records)
+    stretches = _stretches(long, velocity, resolution)
     if model.controller is not None:
-        asked = drive_torque(tuple(model.effects), model.settings(), stretches)
-        counts, at = [len(piece.u) for piece in pieces], np.arange(len(asked))
-        keep = np.concatenate([at[stretches.record == k][:n] for k, n in enumerate(counts)])
-        moved = replace(moved, u=asked[keep])
+        moved = replace(moved, u=_asked(model, stretches, pieces))
+    shown = excitation(model, records)
     excluded = excluded_effects(model, shown.lacks)
     return Dataset(
         segments,
@@ -209,6 +208,20 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi,
         h >= SLOW_SAMPLING and not any(r.ahead for r in records),
     )
+
+
+def _stretches(records: Sequence[Record], velocity: bool, resolution: float) -> Stretches:
+    """Return where records slide."""
+    known = {name: np.concatenate([r.known[name] for r in records]) for name in records[0].known}
+    parts = [(r.time, r.u, r.y) for r in records]
+    return stretches_of(parts, records[0].h, velocity, resolution, known)
+
+
+def _asked(model: Model, over: Stretches, pieces: Sequence[Piece]) -> Array:
+    """Return what a controller asks for (samples,), cut to segments."""
+    asked = drive_torque(tuple(model.effects), model.settings(), over)
+    parts = [asked[over.record == k][: len(piece.u)] for k, piece in enumerate(pieces)]
+    return np.concatenate(parts)
 
 
 def with_known(model: Model, record: Record) -> Record:

@@ -47,8 +47,9 @@ class Grid:
 @dataclass(frozen=True)
 class Piece:
     """One record as consecutive segments: time of the first sample [s], inputs (segments * bins *
-    width,), others by their names, measured averages (segments, bins), states at the starts (segments, 2) with their
-    standard deviations; length of the whole record [s], with what follows its last segment."""
+    width,), measured averages (segments, bins), states at the starts (segments, 2) with their
+    standard deviations; length of the whole record [s], with what follows its last segment; other
+    inputs by their names."""
 
     name: str
     time: float
@@ -58,6 +59,10 @@ class Piece:
     initial_sd: Array
     seconds: float
     others: Mapping[str, Array] = field(default_factory=dict)
+
+    def beside(self, known: Mapping[str, Array]) -> Piece:
+        """Return the same with other inputs of the record, as long or longer, by their names."""
+        return replace(self, others={name: x[: len(self.u)] for name, x in known.items()})
 
 
 @dataclass(frozen=True)
@@ -229,19 +234,10 @@ class Motion:
     record: NDArray[np.int_]
 
 
-def cut(
-    name: str,
-    time: float,
-    u: Array,
-    y: Array,
-    grid: Grid,
-    resolution: float,
-    known: Mapping[str, Array] | None = None,
-) -> Piece:
+def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: float) -> Piece:
     """Return one record as segments; the samples after the last whole segment are dropped.
 
-    Parameters: time of the first sample [s]; input u and output y (n,); resolution of the output;
-    other inputs (n,) by their names.
+    Parameters: time of the first sample [s]; input u and output y (n,); resolution of the output.
     """
     h, bins, width = grid.h, grid.bins, grid.width
     length = width * bins
@@ -260,9 +256,9 @@ def cut(
             [np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])]
         )
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
-    seconds, u = h * len(u), np.ascontiguousarray(u[: n * length])
-    others = {key: np.ascontiguousarray(x[: n * length]) for key, x in (known or {}).items()}
-    return Piece(name, time, u, measured, initial, initial_sd, seconds, others)
+    return Piece(
+        name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u)
+    )
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:

@@ -123,11 +123,8 @@ def _stretches_of(record: Record, grid: Grid, resolution: float) -> Piece:
         np.pad(record.u, (0, more))[: n * length],
         np.pad(record.y, (0, more), mode="edge")[: n * length],
     )
-    known = {
-        name: np.pad(values, (0, more), mode="edge")[: n * length]
-        for name, values in record.known.items()
-    }
-    piece = cut(record.name, float(record.time[0]), u, y, grid, resolution, known)
+    known = {name: np.pad(x, (0, more), mode="edge") for name, x in record.known.items()}
+    piece = cut(record.name, float(record.time[0]), u, y, grid, resolution).beside(known)
     # a smoothed velocity is that of the middle of its window, which the start of a record is not
     if not grid.velocity:
         window = record.h * np.arange(
