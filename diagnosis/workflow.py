@@ -20,6 +20,7 @@ from bristle.diagnosis.answer import (
     Validation,
     finding,
 )
+from bristle.diagnosis.checks.following import following_case
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,
@@ -125,8 +126,9 @@ def diagnose(
     """
     check_arguments(model, records)
     tell = teller(progress)
+    prepare = prepared_case if model.controller is None else following_case
     return search_prepared(
-        lambda given, notes: prepared_case(model, given, notes, tell), records, tell, options
+        lambda given, notes: prepare(model, given, notes, tell), records, tell, options
     )
 
 

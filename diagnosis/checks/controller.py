@@ -7,7 +7,7 @@ chosen so that the inertia is the nominal one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,15 +16,17 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.sliding.screen import GROSS_GAIN
-from bristle.diagnosis.sliding.torque import drive_torque
+from bristle.diagnosis.sliding.stretches import Stretches
+from bristle.diagnosis.sliding.torque import Names, drive_torque
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import J
 
 LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a controller is fitted
-START_LAG = 1e-3  # s: lag of a controller's velocity from which it is fitted
-LARGE = 0.98  # quantile of the torque that is asked for: a limit from which it is fitted
-START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
+START_LAG = 1e-3  # s: lag of the position that a controller sees, from which it is fitted
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
+START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
+LARGE = (0.98, 0.85)  # quantiles of the torque that is asked for: limits from which it is fitted
+MOST_KINDS = 2  # kinds of controllers that are simulated
 
 Values = Mapping[str, float]
 Slides = Callable[[Model], SlidingFit | None]
@@ -32,64 +34,70 @@ Slides = Callable[[Model], SlidingFit | None]
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A controller as the motion that slides shows it: its values, the log-likelihood, and a large
-    torque that it asks for.
+    """A controller as the motion that slides shows it: its values, the log-likelihood less the
+    price of its parts, and large torques that it asks for.
     """
 
     own: Values
     total: float
-    large: float
+    large: tuple[float, ...]
 
 
-def with_controller(model: Model, slides: Slides) -> Model:
-    """Return a model with start values of what is not known of its controller; as it is where its
-    input is no setpoint.
+def controllers(model: Model, slides: Slides) -> list[Model]:
+    """Return a model with start values of what is not known of its controller, for the likeliest
+    kinds of it, the best first; as it is where its input is no setpoint.
 
-    `slides` fits a model to where the records slide. Damping, integral action and a limit are taken
-    where the motion is likelier with them; a constant torque does not count as integral action.
+    `slides` fits a model to where the records slide. Damping, integral action and a limit each cost
+    `GROSS_GAIN`; a constant torque does not count as integral action.
     """
     known = model.controller
     if known is None or {"kp", "ki", "kd"} <= set(known):
-        return model
+        return [model]
     inertia = model.parameters[J.name]
     starts = [inertia * (2 * math.pi * f) ** 2 for f in LOOP_FREQUENCIES]
-    tries = [_fitted(model, slides, {"kp": kp, "kd": 0.0}) for kp in starts]
-    best = max(tries, key=lambda each: each.total)
-    if not math.isfinite(best.total):
+    plain = max((_fitted(model, slides, {"kp": kp}) for kp in starts), key=lambda each: each.total)
+    if not math.isfinite(plain.total):
         raise BristleError(
             "records: too little motion to find the controller; record longer moves of the"
             " setpoint, or give kp, ki and kd in [controller]"
         )
-    kp = best.own["kp"]
-    best = _likelier(model, slides, best, {"kd": math.sqrt(inertia * kp)})
     shifted = replace(model, effects={"bias": {"torque": 0.0}, **model.effects})
-    constant = _fitted(shifted, slides, best.own).total - best.total
-    integral = {"ki": START_INTEGRAL * kp, "integral": 0.0}
-    best = _likelier(model, slides, best, integral, max(constant, 0.0))
-    if "ki" in best.own:
-        best = _likelier(model, slides, best, {"weight": START_WEIGHT})
-    best = _likelier(model, slides, best, {"limit": best.large})
-    own = {"lag": START_LAG, **best.own, **known}
-    return replace(model, effects={**model.effects, CONTROLLER.name: own})
+    constant = max(_fitted(shifted, slides, plain.own).total - plain.total, 0.0)
+    kinds = [plain]
+    for more in ({"kd"}, {"ki"}, {"kd", "ki"}, {"kd", "ki", "weight"}):
+        if not more & set(known):
+            tries = [_fitted(model, slides, _start(inertia, more, kp)) for kp in starts]
+            best = max(tries, key=lambda each: each.total)
+            kinds.append(replace(best, total=best.total - constant * ("ki" in more)))
+    if "limit" not in known:
+        for kind in kinds[:]:
+            limits = [_fitted(model, slides, {**kind.own, "limit": x}) for x in kind.large]
+            kinds.append(max(limits, key=lambda each: each.total))
+    kinds.sort(key=lambda each: -each.total)
+    return [_with(model, {"lag": START_LAG, **kind.own, **known}) for kind in kinds[:MOST_KINDS]]
 
 
-def _likelier(
-    model: Model, slides: Slides, best: _Fitted, more: Values, least: float = 0.0
-) -> _Fitted:
-    """Return a fit with more of a controller, where that gains more than `least` [nats]."""
-    if set(more) <= set(model.controller or {}):
-        return best
-    other = _fitted(model, slides, {**best.own, **more})
-    return other if other.total > best.total + least + GROSS_GAIN else best
+def _start(inertia: float, more: Collection[str], kp: float) -> dict[str, float]:
+    """Return start values of a controller with these parts, of about this gain."""
+    ways = {
+        "kd": {"kd": math.sqrt(inertia * kp)},
+        "ki": {"ki": START_INTEGRAL * kp, "integral": 0.0},
+        "weight": {"weight": START_WEIGHT},
+    }
+    return {"kp": kp} | {key: x for part in more for key, x in ways[part].items()}
+
+
+def _with(model: Model, own: Values) -> Model:
+    return replace(model, effects={**model.effects, CONTROLLER.name: dict(own)})
 
 
 def _fitted(model: Model, slides: Slides, start: Values) -> _Fitted:
     """Return a model fitted from start values of its controller, those that are known aside."""
     known = model.controller or {}
     own = {**start, **known}
-    fit = slides(replace(model, effects={**model.effects, CONTROLLER.name: own}))
+    fit = slides(_with(model, own))
     if fit is None:
-        return _Fitted(own, -math.inf, math.inf)
+        return _Fitted(own, -math.inf, ())
     # torques that nothing measures, in units in which the inertia is the nominal one
     scale = 1.0 if "kp" in known else model.parameters[J.name] / fit.values[J.name]
     found = {}
@@ -98,5 +106,16 @@ def _fitted(model: Model, slides: Slides, start: Values) -> _Fitted:
         if key in own:
             torque = "N.m" in p.unit and key not in known
             found[key] = fit.values[p.name] * (scale if torque else 1.0)
-    asked = drive_torque(fit.model.effects, fit.values, fit.model.over)
-    return _Fitted(found, fit.total, scale * float(np.quantile(np.abs(asked), LARGE)))
+    large = large_torques(fit.model.effects, fit.values, fit.model.over)
+    return _Fitted(found, fit.total - price(own), tuple(scale * x for x in large))
+
+
+def large_torques(effects: Names, values: Values, over: Stretches) -> list[float]:
+    """Return large torques that a controller asks for [N.m]."""
+    asked = np.abs(drive_torque(effects, values, over))
+    return [float(np.quantile(asked, share)) for share in LARGE]
+
+
+def price(own: Collection[str]) -> float:
+    """Return what the parts of a controller cost [nats]."""
+    return GROSS_GAIN * len(set(own) & {"kd", "ki", "weight", "limit"})

@@ -11,7 +11,6 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
-from bristle.diagnosis.checks.controller import with_controller
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
 from bristle.diagnosis.checks.plausibility import Plausibility, check
@@ -95,16 +94,14 @@ def prepared_case(
 ) -> PreparedCase | Diagnosis:
     """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
     records = [with_known(model, record) for record in records]
-    model = with_controller(model, lambda tried: slides_of(tried, records))
-    said = Plausibility((), ()) if model.controller else check(model, records)
-    dataset = dataset_of(model, records)
+    said, dataset = check(model, records), dataset_of(model, records)
     if said.corrections:
         gap = nominal_gap(dataset, *base_servo_of(model, dataset))
         return implausible(model, records, gap, said, notes)
     tell("base refit", 0.0)
     servo, values = base_servo_of(model, dataset)
     base = fit_from_several_starts(dataset, servo, values)
-    case = PreparedCase(model, records, dataset, base, notes, (*said.notes, *_ratios(model)))
+    case = PreparedCase(model, records, dataset, base, notes, said.notes)
     if not has_diverged(dataset, base.fit):
         return case
     if _lacks_much(dataset, servo, values):
@@ -112,17 +109,10 @@ def prepared_case(
     return _in_shorter_segments(case)
 
 
-def _ratios(model: Model) -> Iterator[Finding]:
-    """Give what is said of torques that were not measured."""
-    if model.controller is not None:
-        kp = model.controller["kp"]
-        yield finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
-
-
-def slides_of(model: Model, records: Sequence[Record]) -> SlidingFit | None:
-    """Return a model fitted to where the records slide."""
+def slides_of(model: Model, records: Sequence[Record]) -> Callable[[Model], SlidingFit | None]:
+    """Return what fits models like one to where the records slide."""
     dataset = dataset_of(model, records)
-    return sliding_fit(dataset, *base_servo_of(model, dataset))
+    return lambda tried: sliding_fit(dataset, *base_servo_of(tried, dataset))
 
 
 def implausible(

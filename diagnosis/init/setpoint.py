@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Finding, Reason, Rough, finding
-from bristle.diagnosis.checks.controller import with_controller
+from bristle.diagnosis.checks.controller import controllers
 from bristle.diagnosis.checks.preparation import slides_of
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.controller import CONTROLLER
@@ -36,8 +36,9 @@ def relative_to_inertia(
         effects={CONTROLLER.name: {}},
         **vars(layout),
     )
-    known = with_controller(blank, lambda tried: slides_of(tried, records))
-    fit = slides_of(known, records)
+    slides = slides_of(blank, records)
+    [known, *_] = controllers(blank, slides)
+    fit = slides(known)
     if fit is None or known.controller is None:
         raise BristleError(
             "too little motion in these records to find the controller; record steps of several"

@@ -9,7 +9,7 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, records_from_arrays
-from bristle.diagnosis.checks.controller import with_controller
+from bristle.diagnosis.checks.controller import controllers
 from bristle.diagnosis.checks.preparation import slides_of
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
@@ -147,7 +147,7 @@ def test_the_observers_of_a_scenario_need_what_drives_the_servo(tmp_path):
 )
 def test_its_structure_and_its_gains_are_found(gains):
     model, records = records_of(gains)
-    found = with_controller(model, lambda tried: slides_of(tried, records)).controller
+    found = controllers(model, slides_of(model, records))[0].controller
     assert ("ki" in found) == ("ki" in gains)
     assert ("limit" in found) == ("limit" in gains)
     # relative to the nominal inertia, which is the true one
@@ -160,14 +160,14 @@ def test_its_structure_and_its_gains_are_found(gains):
 def test_what_is_known_stays():
     _, records = records_of({"kp": 6.0}, seconds=6.0)
     known = Model.from_dict(deepcopy(TREE) | {"controller": {"kp": 6.0}})
-    found = with_controller(known, lambda tried: slides_of(tried, records)).controller
+    found = controllers(known, slides_of(known, records))[0].controller
     assert found["kp"] == 6.0
 
 
 def test_without_a_setpoint_a_model_stays_as_it_is():
     tree = deepcopy(TREE) | {"input": {"column": "u", "kind": "torque", "unit": "N.m"}}
     model = Model.from_dict(tree)
-    assert with_controller(model, lambda tried: pytest.fail("tried")) is model
+    assert controllers(model, lambda tried: pytest.fail("tried")) == [model]
 
 
 # -- the diagnosis ---------------------------------------------------------------------------------

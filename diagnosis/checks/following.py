@@ -1,0 +1,149 @@
+"""Before the search, of a servo that is given a goal: the kind of its controller, and its gains.
+
+The motion that slides shows both where the encoder is fine and the log fast. In any case the loop
+is simulated: a loop follows its goal whatever its gains are, so that no start is too far away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from bristle.diagnosis.answer import Line, Progress, Reason, finding
+from bristle.diagnosis.checks.controller import START_LAG, controllers, large_torques, price
+from bristle.diagnosis.checks.preparation import (
+    PreparedCase,
+    base_servo_of,
+    dataset_of,
+    slides_of,
+    with_known,
+)
+from bristle.diagnosis.estimation.dataset import Dataset, Segments
+from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.validation.long_simulation import (
+    Records,
+    fitted_error,
+    refit_horizon,
+    with_fitted_starts,
+)
+from bristle.plant.controller import CONTROLLER
+from bristle.plant.servo import A2, J
+from bristle.records.record import Record
+
+FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
+DAMPING = 0.8  # of these loops
+INTEGRAL = 1.0  # 1/s: of these loops, integral over proportional action
+KINDS = ((), ("kd",), ("ki",), ("kd", "ki"))  # parts of a controller beside kp
+NEAR = 1.2  # of the least error over whole records: kinds with a larger one are left
+MOST_FITTED = 3  # kinds that are fitted to segments, with their noise
+
+Case = tuple[Model, Dataset, FittedModel]
+
+
+def following_case(
+    model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
+) -> PreparedCase:
+    """Return a model that follows a setpoint, fitted with the likeliest kind of controller."""
+    tell("the controller", 0.0)
+    records = [with_known(model, record) for record in records]
+    loops = sorted(_loops(model, records), key=lambda each: each[0])
+    near = [each for error, each in loops if error <= NEAR * loops[0][0]][:MOST_FITTED]
+    found = [_fitted(each, records) for each in near]
+    likeliest, dataset, base = max(found, key=_likelihood)
+    kp = (likeliest.controller or {})["kp"]
+    said = finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
+    return PreparedCase(likeliest, records, dataset, base, notes, (said,))
+
+
+def _fitted(model: Model, records: Sequence[Record]) -> Case:
+    dataset = dataset_of(model, records)
+    return model, dataset, fit_with_noise(dataset, *base_servo_of(model, dataset))
+
+
+def _likelihood(case: Case) -> float:
+    model, _, fitted = case
+    return fitted.fit.total - price(model.controller or ())
+
+
+def _loops(model: Model, records: Sequence[Record]) -> Iterator[tuple[float, Model]]:
+    """Give models with a controller of each kind and the error of each over whole records: the
+    controllers that the sliding motion shows, the nearest of some loops, and that with a limit.
+    """
+    known = model.controller or {}
+    starts = controllers(model, slides_of(model, records))
+    for parts in KINDS:
+        if not set(parts) & set(known):
+            tries = [_loop(model, parts, frequency) for frequency in FREQUENCIES]
+            starts.append(min(tries, key=lambda each: _Loop.of(each, records).error))
+    best = math.inf, model
+    for start in starts:
+        found = _Loop.of(start, records).refitted()
+        best = min(best, found, key=lambda each: each[0])
+        yield found
+    if "limit" not in known:
+        for limited in _limited(best[1], records):
+            yield _Loop.of(limited, records).refitted()
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """A model over whole records, in its loop."""
+
+    model: Model
+    dataset: Dataset
+    records: Records
+
+    @classmethod
+    def of(cls, model: Model, records: Sequence[Record]) -> _Loop:
+        dataset = dataset_of(model, records)
+        return cls(model, dataset, Records.of(dataset, records, dataset.segments.times))
+
+    @property
+    def error(self) -> float:
+        """The rms error [unit of the output]; infinite where the simulation fails."""
+        servo, values = base_servo_of(self.model, self.dataset)
+        return fitted_error(with_fitted_starts(servo, values, self._whole, self.records.least))
+
+    def refitted(self) -> tuple[float, Model]:
+        """Return the rms error of the model refitted to whole records, and that model."""
+        servo, values = base_servo_of(self.model, self.dataset)
+        fit = refit_horizon(servo, values, self._whole, self.records.least)
+        if fit is None:
+            return math.inf, self.model
+        model, own = self.model, fit.values
+        controller = {key: float(own[f"{CONTROLLER.name}.{key}"]) for key in model.controller or ()}
+        parameters = {key: float(own.get(key, x)) for key, x in model.parameters.items()}
+        effects = {**model.effects, CONTROLLER.name: controller}
+        return fitted_error(fit), replace(model, parameters=parameters, effects=effects)
+
+    @property
+    def _whole(self) -> Segments:
+        return self.records.stretches(self.records.seconds)
+
+
+def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
+    """Return a model with a controller of these parts, and a loop of about this frequency."""
+    inertia, omega = model.parameters[J.name], 2 * math.pi * frequency
+    known = model.controller or {}
+    kp = known.get("kp", inertia * omega**2)
+    damping = 2 * DAMPING * math.sqrt(inertia * kp)
+    own: dict[str, float] = {"kp": kp, "lag": START_LAG}
+    parameters = dict(model.parameters)
+    if "kd" in parts:
+        own["kd"] = damping
+    else:
+        low, high = model.bounds.get(A2.name, (0.0, math.inf))
+        parameters[A2.name] = min(max(damping, low), high)
+    if "ki" in parts:
+        own |= {"ki": INTEGRAL * kp, "integral": 0.0}
+    controller = {CONTROLLER.name: own | known}
+    return replace(model, parameters=parameters, effects={**model.effects, **controller})
+
+
+def _limited(model: Model, records: Sequence[Record]) -> Iterator[Model]:
+    """Give a model with limits of the torque that it asks for."""
+    over, own = dataset_of(model, records).stretches, model.controller or {}
+    for limit in large_torques(tuple(model.effects), model.settings(), over):
+        yield replace(model, effects={**model.effects, CONTROLLER.name: {**own, "limit": limit}})
