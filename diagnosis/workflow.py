@@ -20,7 +20,6 @@ from bristle.diagnosis.answer import (
     Validation,
     finding,
 )
-from bristle.diagnosis.checks.following import following_case
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,
@@ -32,6 +31,7 @@ from bristle.diagnosis.checks.records import check_arguments
 from bristle.diagnosis.experiment.design import designed_experiment
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
 from bristle.diagnosis.fmu.plant_fmu import plant_fmu, unit_notes
+from bristle.diagnosis.following.whole_loop import following_case
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.selection.stepwise import SearchOutcome, search

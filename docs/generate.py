@@ -26,11 +26,14 @@ from bristle.observer import methods
 from bristle.observer.method import SIGNALS
 from bristle.plant import effects as effect_package
 from bristle.plant import friction
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import VIEWS
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
+from bristle.plant.known import KNOWN
 from bristle.plant.servo import LOAD_STARTS, servo_program
 from bristle.plant.signal_effects import SIGNAL_EFFECTS
+from bristle.plant.wording import ROTARY
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("common", "model", "plant", "observer", "records", "fmus", "harness", "diagnosis")
@@ -291,7 +294,19 @@ def _bus_rows() -> list[str]:
 def model_page(shown: Catalogue | None = None) -> str:
     """Return docs/model_reference.md, with the laws that are `shown`."""
     offered = [name for name in laws() if name in (shown or catalogue())["laws"]]
-    return "\n".join([MODEL_HEAD, *key_tables(ModelTable, {("ModelTable", "friction"): offered})])
+    text = [MODEL_HEAD, *key_tables(ModelTable, {("ModelTable", "friction"): offered})]
+    for heading, about, own in (
+        (
+            "controller",
+            "Parameters of the controller, without `controller.` in its table.",
+            CONTROLLER,
+        ),
+        ("known", "What is estimated beside `[known]`.", KNOWN),
+    ):
+        worded = own.worded(ROTARY)
+        text += ["", f"## Parameters of `[{heading}]`", "", f"{about} {worded.equation}", ""]
+        text += table(list(worded.parameters))
+    return "\n".join([*text, ""])
 
 
 GALLERY_HEAD = """# Gallery of the effects

@@ -57,7 +57,7 @@ class InputTable(Column):
 
     kind: Literal["torque", "force", "voltage", "current", "setpoint"]
     """What the input is: `torque` and `force` fit an output that turns and one that moves, the
-    others either; `setpoint` is the position that a controller follows.
+    others either; `setpoint` is the position that a controller follows, in model files alone.
     """
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Finding, Reason, Rough, finding
-from bristle.diagnosis.checks.controller import controllers
 from bristle.diagnosis.checks.preparation import slides_of
+from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import J

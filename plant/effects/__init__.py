@@ -22,7 +22,7 @@ from bristle.plant.known import KNOWN
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import ROTARY, Wording
 
-__all__ = ["effect", "effects", "separation"]
+__all__ = ["BESIDE", "effect", "effects", "separation"]
 
 BESIDE = {
     **UNNAMED_TORQUES,

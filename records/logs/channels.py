@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.columns import Array, Columns, columns_of, must_fit
+from bristle.common.errors import BristleError
 from bristle.records.logs.topics import TIME, needed
 
 # of a TDMS channel: the first sample [s], their distance [s], the unit
@@ -40,6 +42,8 @@ def read_tdms(path: Path) -> Columns:
     """Return the channels of a TDMS file."""
     with needed(path, "TDMS", "npTDMS"):
         from nptdms import TdmsFile
+        from nptdms.log import log_manager
+    log_manager.set_level(logging.ERROR)  # what it warns of is read all the same
 
     def groups() -> Iterator[Group]:
         for group in TdmsFile.read(path).groups():
@@ -63,6 +67,9 @@ def read_mdf(path: Path) -> Columns:
     """Return the channels of an MDF file of version 3 or 4."""
     with needed(path, "MDF", "asammdf"):
         from asammdf import MDF
+    with path.open("rb") as stream:
+        if stream.read(8).rstrip() not in (b"MDF", b"UnFinMF"):
+            raise BristleError(f"record {path}: is no MDF file; check its name")
 
     def groups() -> Iterator[Group]:
         with MDF(path) as file:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,12 @@ from bristle.records.logs.topics import Message, from_messages, needed
 def read_mcap(path: Path) -> Columns:
     """Return the fields of all topics that can be decoded."""
     with needed(path, "MCAP", "mcap, mcap-ros2-support, mcap-protobuf-support"):
-        from mcap.reader import make_reader
+        from mcap.exceptions import McapError
+        from mcap.reader import NonSeekingReader, make_reader
         from mcap_protobuf.decoder import DecoderFactory as Protobuf
         from mcap_ros2.decoder import DecoderFactory as Ros2
     unusable: dict[str, str] = {}
+    broken: list[str] = []
     factories = (Ros2(), Protobuf())
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
 
@@ -28,8 +31,29 @@ def read_mcap(path: Path) -> Columns:
             filter(None, (f.decoder_for(channel.message_encoding, schema) for f in factories)), None
         )
 
+    def records(stream: Any) -> Iterator[Any]:
+        """Give what a log holds; of one that breaks off, what is before the break."""
+        try:
+            reader: Any = make_reader(stream)
+            reader.get_summary()
+        except (McapError, OSError, ValueError, struct.error):
+            stream.seek(0)
+            reader = NonSeekingReader(stream)
+        else:
+            yield from reader.iter_messages()
+            return
+        count = 0
+        try:
+            for each in reader.iter_messages(log_time_order=False):
+                yield each
+                count += 1
+        except (McapError, OSError, ValueError, struct.error):
+            if not count:
+                raise
+        broken.append("the log breaks off; read up to there")
+
     def messages(stream: Any) -> Iterator[Message]:
-        for schema, channel, message in make_reader(stream).iter_messages():
+        for schema, channel, message in records(stream):
             if channel.id not in decoders:
                 decoders[channel.id] = decoder(schema, channel)
             decode = decoders[channel.id]
@@ -39,4 +63,6 @@ def read_mcap(path: Path) -> Columns:
             yield channel.topic, 1e-9 * message.log_time, decode(message.data)
 
     with path.open("rb") as stream:
-        return from_messages(path, messages(stream), unusable)
+        columns = from_messages(path, messages(stream), unusable)
+    columns.findings += tuple(broken)
+    return columns

@@ -9,8 +9,8 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, records_from_arrays
-from bristle.diagnosis.checks.controller import controllers
 from bristle.diagnosis.checks.preparation import slides_of
+from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.proposed_model import model_text as proposed_text

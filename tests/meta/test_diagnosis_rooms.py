@@ -30,11 +30,15 @@ MAY_IMPORT = {
     # side by side: none imports another
     "experiment": {"answer", "checks", "sliding", "estimation", "selection", "stages"},
     "validation": {*GROUND, *FITS, "estimation", "stages"},
-    "init": {*GROUND, *FITS, "checks"},
+    "following": {*GROUND, *FITS, "checks", "estimation", "validation"},
+    "init": {*GROUND, *FITS, "checks", "following"},
     "fmu": {*GROUND, *FITS, "checks", "estimation"},
     # on top: sentences, figures and pages, and the order of the work
     "report": GROUND,
-    "workflow": {*GROUND, "checks", "experiment", "selection", "stages", "validation", "fmu"},
+    "workflow": {
+        *GROUND,
+        *("checks", "experiment", "selection", "stages", "validation", "following", "fmu"),
+    },
     "__init__": {*GROUND, "checks", "selection", "fmu", "report", "workflow"},
 }
 MOST_FILES = 9  # of a folder

@@ -114,7 +114,9 @@ PUBLIC = {
         "RecordedMotion",
         "power",
     ],
-    "bristle.plant.effects": ["effect", "effects", "separation"],
+    "bristle.plant.controller": ["CONTROLLER"],
+    "bristle.plant.known": ["KNOWN"],
+    "bristle.plant.effects": ["BESIDE", "effect", "effects", "separation"],
     "bristle.plant.friction": ["law", "law_names", "laws"],
     "bristle.plant.law": [
         "Friction",

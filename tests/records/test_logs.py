@@ -1,5 +1,6 @@
 """Logs of robots: written by each format's own library, read with their topics and times."""
 
+import gc
 import json
 import struct
 
@@ -66,11 +67,11 @@ def ros1_bag(path):
     return path
 
 
-def json_mcap(path):
+def json_mcap(path, chunk=1024 * 1024):
     from mcap.writer import Writer
 
     with path.open("wb") as stream:
-        log = Writer(stream)
+        log = Writer(stream, chunk_size=chunk)
         log.start()
         schema = log.register_schema("servo", "jsonschema", b'{"type": "object"}')
         servo = log.register_channel("/servo", "json", schema)
@@ -224,6 +225,32 @@ def test_what_cannot_be_decoded_is_named(tmp_path):
     assert columns.unusable["/unknown"] == "messages in 'cbor'"
     assert columns.unusable["/servo.mode"] == '"on"'
     assert not any("image" in name for name in columns)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.98])
+def test_of_a_log_that_breaks_off_what_is_before_is_read(share, tmp_path):
+    """As a robot leaves it that loses its power: without the end, which says where all is."""
+    path = json_mcap(tmp_path / "log.mcap", chunk=4096)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: round(share * len(whole))])
+    columns = read_columns(path)
+    count = len(columns["/servo.position"])
+    assert 0.5 * share * N < count <= N
+    np.testing.assert_array_equal(columns["/servo.position"], Q[:count])
+    assert columns.findings == ("the log breaks off; read up to there",)
+    # nothing of it is no log
+    path.write_bytes(b"nothing of it")
+    with pytest.raises(BristleError, match=r"log\.mcap"):
+        read_columns(path)
+
+
+def test_no_mdf_file_is_one_line_and_nothing_else(tmp_path, capfd):
+    path = tmp_path / "log.mf4"
+    path.write_bytes(b"nothing of it" * 100)
+    with pytest.raises(BristleError, match="is no MDF file"):
+        read_columns(path)
+    gc.collect()
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("module", ["mcap", "rosbags", "nptdms", "asammdf", "pyulog", "wpiutil"])

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from bristle.diagnosis.answer import Line, Progress, Reason, finding
-from bristle.diagnosis.checks.controller import START_LAG, controllers, large_torques, price
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,
     base_servo_of,
@@ -21,6 +20,13 @@ from bristle.diagnosis.checks.preparation import (
 )
 from bristle.diagnosis.estimation.dataset import Dataset, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
+from bristle.diagnosis.following.controller import (
+    START_INTEGRAL,
+    START_LAG,
+    controllers,
+    large_torques,
+    price,
+)
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.validation.long_simulation import (
     Records,
@@ -32,12 +38,11 @@ from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import A2, J
 from bristle.records.record import Record
 
-FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
-DAMPING = 0.8  # of these loops
-INTEGRAL = 1.0  # 1/s: of these loops, integral over proportional action
-KINDS = ((), ("kd",), ("ki",), ("kd", "ki"))  # parts of a controller beside kp
-NEAR = 1.2  # of the least error over whole records: kinds with a larger one are left
-MOST_FITTED = 3  # kinds that are fitted to segments, with their noise
+START_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
+START_DAMPING = 0.8  # of these loops
+ACTIONS = ((), ("kd",), ("ki",), ("kd", "ki"))  # parts of a controller beside kp
+NEAREST = 1.2  # of the least error over whole records: kinds with a larger one are left
+MOST_LOOPS = 3  # kinds that are fitted to segments, with their noise
 
 Case = tuple[Model, Dataset, FittedModel]
 
@@ -49,7 +54,7 @@ def following_case(
     tell("the controller", 0.0)
     records = [with_known(model, record) for record in records]
     loops = sorted(_loops(model, records), key=lambda each: each[0])
-    near = [each for error, each in loops if error <= NEAR * loops[0][0]][:MOST_FITTED]
+    near = [each for error, each in loops if error <= NEAREST * loops[0][0]][:MOST_LOOPS]
     found = [_fitted(each, records) for each in near]
     likeliest, dataset, base = max(found, key=_likelihood)
     kp = (likeliest.controller or {})["kp"]
@@ -73,9 +78,9 @@ def _loops(model: Model, records: Sequence[Record]) -> Iterator[tuple[float, Mod
     """
     known = model.controller or {}
     starts = controllers(model, slides_of(model, records))
-    for parts in KINDS:
+    for parts in ACTIONS:
         if not set(parts) & set(known):
-            tries = [_loop(model, parts, frequency) for frequency in FREQUENCIES]
+            tries = [_loop(model, parts, frequency) for frequency in START_FREQUENCIES]
             starts.append(min(tries, key=lambda each: _Loop.of(each, records).error))
     best = math.inf, model
     for start in starts:
@@ -128,7 +133,7 @@ def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
     inertia, omega = model.parameters[J.name], 2 * math.pi * frequency
     known = model.controller or {}
     kp = known.get("kp", inertia * omega**2)
-    damping = 2 * DAMPING * math.sqrt(inertia * kp)
+    damping = 2 * START_DAMPING * math.sqrt(inertia * kp)
     own: dict[str, float] = {"kp": kp, "lag": START_LAG}
     parameters = dict(model.parameters)
     if "kd" in parts:
@@ -137,7 +142,7 @@ def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
         low, high = model.bounds.get(A2.name, (0.0, math.inf))
         parameters[A2.name] = min(max(damping, low), high)
     if "ki" in parts:
-        own |= {"ki": INTEGRAL * kp, "integral": 0.0}
+        own |= {"ki": START_INTEGRAL * kp, "integral": 0.0}
     controller = {CONTROLLER.name: own | known}
     return replace(model, parameters=parameters, effects={**model.effects, **controller})
 

@@ -25,8 +25,11 @@ LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a contro
 START_LAG = 1e-3  # s: lag of the position that a controller sees, from which it is fitted
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
 START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
-LARGE = (0.98, 0.85)  # quantiles of the torque that is asked for: limits from which it is fitted
-MOST_KINDS = 2  # kinds of controllers that are simulated
+LARGE_TORQUES = (
+    0.98,
+    0.85,
+)  # quantiles of the torque that is asked for: limits from which it is fitted
+MOST_SLIDING = 2  # kinds of controllers that are simulated
 
 Values = Mapping[str, float]
 Slides = Callable[[Model], SlidingFit | None]
@@ -74,7 +77,7 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
             limits = [_fitted(model, slides, {**kind.own, "limit": x}) for x in kind.large]
             kinds.append(max(limits, key=lambda each: each.total))
     kinds.sort(key=lambda each: -each.total)
-    return [_with(model, {"lag": START_LAG, **kind.own, **known}) for kind in kinds[:MOST_KINDS]]
+    return [_with(model, {"lag": START_LAG, **kind.own, **known}) for kind in kinds[:MOST_SLIDING]]
 
 
 def _start(inertia: float, more: Collection[str], kp: float) -> dict[str, float]:
@@ -113,7 +116,7 @@ def _fitted(model: Model, slides: Slides, start: Values) -> _Fitted:
 def large_torques(effects: Names, values: Values, over: Stretches) -> list[float]:
     """Return large torques that a controller asks for [N.m]."""
     asked = np.abs(drive_torque(effects, values, over))
-    return [float(np.quantile(asked, share)) for share in LARGE]
+    return [float(np.quantile(asked, share)) for share in LARGE_TORQUES]
 
 
 def price(own: Collection[str]) -> float:
