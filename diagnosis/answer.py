@@ -698,6 +698,18 @@ class Writer(Protocol):
         """Return what a notebook shows."""
 
 
+@dataclass(frozen=True)
+class BetweenSensors:
+    """What lies between two positions: parts with their parameters, by name, and the rms of the
+    difference before and after it [`unit`].
+    """
+
+    parts: Mapping[str, Mapping[str, Estimate]]
+    before: float
+    after: float
+    unit: str
+
+
 class _Written:
     writer: ClassVar[Writer]  # given by the package
 
@@ -757,6 +769,8 @@ class Diagnosis(_Written):
         nothing to tell apart.
     whole : WholeRecords or None
         Errors of whole records in open loop, before and after; None if nothing was searched.
+    between : BetweenSensors or None
+        What lies between the positions of motor and load; None where one was measured.
     unnamed : UnnamedTorque or None
         What is left unexplained as a function of one variable or two; None where nothing much is
         left.
@@ -792,6 +806,7 @@ class Diagnosis(_Written):
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     whole: WholeRecords | None = None
+    between: BetweenSensors | None = None
     unnamed: UnnamedTorque | None = None
     designed: DesignedInput | None = None
     agreement: RecordAgreement | None = None

@@ -320,7 +320,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
     effects |= {} if controller is None else {CONTROLLER.name: controller}
     effects |= {KNOWN.name: {"scale": 1.0, **effects.get(KNOWN.name, {})}} if layout.known else {}
     if KNOWN.name in effects and not layout.known:
-        raise file.mistake(f"effects.{KNOWN.name}", None, "there is no table [known]; add it")
+        raise file.mistake(f"effects.{KNOWN.name}", None, "lacks the columns of [known]; add them")
     if effects:
         try:
             servo(law, False, [find_effect(name) for name in effects])

@@ -20,6 +20,7 @@ from bristle.diagnosis.answer import (
     Validation,
     finding,
 )
+from bristle.diagnosis.between.two_positions import between_sensors
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,
@@ -127,9 +128,10 @@ def diagnose(
     check_arguments(model, records)
     tell = teller(progress)
     prepare = prepared_case if model.controller is None else following_case
-    return search_prepared(
+    answer = search_prepared(
         lambda given, notes: prepare(model, given, notes, tell), records, tell, options
     )
+    return replace(answer, between=between_sensors(model, records))
 
 
 def diagnose_fmu(

@@ -27,11 +27,11 @@ def torque(c: Context) -> ca.SX:
 
 
 def inertia(c: Context) -> ca.SX:
-    """Factor on J, the diagonal element of the arm's mass matrix over its nominal value.
+    """m + M/J, by which J is the inertia J m + M of the motor and what it carries.
 
-    Source: spong2006 section 7.3.
+    Source: spong2006 section 7.3 (M: diagonal element of the mass matrix).
     """
-    return ca.SX(c.p.inertia_factor)
+    return ca.SX(c.p.inertia_factor + c.p.inertia_added / c.p.J)
 
 
 KNOWN = Effect(
@@ -40,14 +40,15 @@ KNOWN = Effect(
     SOURCE,
     title="known {torque} and inertia",
     group="known",
-    equation="J m v' = T - s tau",
+    equation="(J m + M) v' = T - s tau",
     residual=("theta",),
     excitation="the motion of what the servo carries",
     confounded=(),
     parameters=(_parameter("scale", "s", "1", (1.0, -1e3, 1e3), "factor on the known {torque}"),),
     inputs=(
         Variable("torque", "N.m", "known torque against the motor", minimum=-1e9, maximum=1e9),
-        Variable("inertia_factor", "1", "inertia over J", 1.0, minimum=1e-9, maximum=1e9),
+        Variable("inertia_factor", "1", "factor on J", 1.0, minimum=1e-9, maximum=1e9),
+        Variable("inertia_added", "kg.m2", "inertia beside J", minimum=0.0, maximum=1e9),
     ),
     load_side=True,
     torque=torque,

@@ -15,6 +15,7 @@ from bristle.common.toml import Section, mistake, quoted
 from bristle.common.units import quantity
 from bristle.records.formats.rate import rate_of
 
+LOAD = "load"  # what records call a second position
 SETPOINT = "setpoint"  # kind of an input that is a goal for the output
 # SI unit of each other kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
@@ -68,6 +69,9 @@ class OutputTable(Column):
     """What the output is."""
     resolution: str | float | None = None
     """Smallest step of the output, in the column's unit or with a unit."""
+    load: Column | None = None
+    """Column of a second position, behind the gear or coupling: a table `[output.load]`. Where a
+    gear is between both, its ratio is in `scale`."""
     differences: bool = False
     """Whether a velocity is the difference of two readings of a position over a sampling period; it
     is summed to that.
@@ -122,6 +126,8 @@ class Layout:
         Whether the column of the output holds the differences of a position, as a velocity.
     known : dict of str to Column
         Columns of what is known at each sample: "torque", "inertia", "inertia_factor".
+    load : Column or None
+        A second position, of the load.
     """
 
     time: Column | None = None
@@ -135,6 +141,7 @@ class Layout:
     velocity: Column | None = None
     differences: bool = False
     known: Mapping[str, Column] = field(default_factory=dict)
+    load: Column | None = None
 
     @property
     def input_unit(self) -> str:
@@ -168,6 +175,8 @@ class Layout:
         }
         if self.velocity is not None:
             found["velocity"] = self.velocity, _output_unit("velocity", self.linear)
+        if self.load is not None:
+            found[LOAD] = self.load, _output_unit("position", self.linear)
         units = KNOWN_UNITS["linear" if self.linear else "rotary"]
         return found | {f"known.{key}": (x, units[key]) for key, x in self.known.items()}
 
@@ -212,7 +221,11 @@ def layout_of(
         velocity=None if velocity is None else _column(velocity),
         differences=differences,
         known=_known(known, where),
+        load=None if table.output.load is None else _column(table.output.load),
     )
+    if layout.load is not None and layout.output_kind != "position":
+        said = 'is compared with the position of the motor; write kind = "position"'
+        raise mistake(where, f"{prefix}output.load", None, said)
     if velocity is not None and table.output.kind == "velocity":
         raise mistake(
             where,
@@ -343,6 +356,8 @@ def layout_lines(layout: Layout) -> list[str]:
         lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
     if layout.velocity is not None:
         lines += ["", "[velocity]", *_column_lines(layout.velocity)]
+    if layout.load is not None:
+        lines += ["", "[output.load]", *_column_lines(layout.load)]
     for key, column in layout.known.items():
         lines += ["", f"[known.{key}]", *_column_lines(column)]
     return lines

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeGuard
 
 import typer
 
@@ -99,6 +99,9 @@ def diagnose(
 
     options = search_options(jobs, budget)
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
+    if fmu is None and _is_arm(model):
+        _diagnose_arm(model, data, out, options, int(fmi.value))
+        return
     with output_folder(out, "diagnosis.json"), fraction("diagnose") as tell:
         found = _diagnosed(model, fmu, data, tell, options, timeout)
         tell("writing", 1.0)
@@ -118,10 +121,46 @@ def diagnose(
     _summary(found, choose if problem is None else None)
     if fill and not (found.unnamed is not None and found.unnamed.offered):
         print(nothing_filled(found))
+    _end(found, out, problem)
+
+
+def _end(found: Diagnosis, out: Path, problem: BristleError | None) -> None:
+    """Print where the report is, or raise what kept it from being written."""
     if problem is None or isinstance(problem, IncompleteError):
         print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:
         raise problem
+
+
+def _is_arm(path: Path | None) -> TypeGuard[Path]:
+    from bristle.diagnosis.robot.arm import is_arm
+
+    return path is not None and is_arm(path)
+
+
+def _diagnose_arm(
+    path: Path, data: Sequence[Path], out: Path, options: SearchOptions, fmi: int
+) -> None:
+    """Diagnose the joints of an arm, one after the other, each into a folder of its name."""
+    from bristle.common.output import output_folder
+    from bristle.common.provenance import provenance_of
+    from bristle.diagnosis import diagnose, write
+    from bristle.diagnosis.report.arm_page import write_arm
+    from bristle.diagnosis.report.headline import headline
+    from bristle.diagnosis.robot.arm import joints_of, load_arm
+
+    made = provenance_of(path, data, command_line(), None)
+    joints, found = joints_of(load_arm(path), data), {}
+    with output_folder(out, "diagnosis.json"):
+        for name, (model, records) in joints.items():
+            with fraction(f"diagnose {name}") as tell:
+                found[name] = diagnose(model, records, progress=tell, options=options)
+                write(found[name], out / name, fmi=fmi, made=made)
+        write_arm(path.stem, found, out, made)
+    width = max(map(len, found))
+    for name, each in found.items():
+        print(f"{name:<{width}}  {headline(each)}")
+    print(f"{len(found)} joints  {out / 'report.html'}", flush=True)
 
 
 def _check_effect(name: str | None) -> None:

@@ -53,8 +53,8 @@ def init(
     """
     from bristle.cli.files import pairs
     from bristle.diagnosis.init.proposal import propose
-    from bristle.diagnosis.report.columns import listed
     from bristle.diagnosis.report.proposed_model import next_command, summary, write_model
+    from bristle.diagnosis.report.text.columns import listed
 
     files = files_of(data)
     if list_:

@@ -52,6 +52,7 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.known import KNOWN
 from bristle.plant.servo import J
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
+from bristle.records.layout import LOAD
 from bristle.records.record import Record
 
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
@@ -215,8 +216,10 @@ def _asked(model: Model, over: Stretches, pieces: Sequence[Piece]) -> Array:
 
 
 def with_known(model: Model, record: Record) -> Record:
-    """Return a record whose inertia is given as a factor on J, as the servo takes it."""
-    known = dict(record.known)
+    """Return a record with what the servo takes: without the position of the load, an inertia as a
+    factor on J.
+    """
+    known = {name: x for name, x in record.known.items() if name != LOAD}
     if (inertia := known.pop(f"{KNOWN.name}.inertia", None)) is not None:
         known[f"{KNOWN.name}.inertia_factor"] = inertia / model.parameters[J.name]
     return replace(record, known=known)

@@ -12,6 +12,7 @@ from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.records import intake
 from bristle.records.clock import must_agree
 from bristle.records.intake import Requirements
+from bristle.records.layout import LOAD
 from bristle.records.record import Record
 
 LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
@@ -71,6 +72,11 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
     if not records:
         raise BristleError("no record is given; give at least one")
     for record in records:
+        if model.load is not None and LOAD not in record.known:
+            raise BristleError(
+                f"record {record.name}: lacks the position of the load, which the model has a"
+                " column of; read it with load_records, or give it to records_from_arrays"
+            )
         for key in model.known:
             if f"known.{key}" not in record.known:
                 raise BristleError(

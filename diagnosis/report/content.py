@@ -9,6 +9,7 @@ from typing import Any
 
 from bristle.common.output import plain
 from bristle.diagnosis.answer import (
+    BetweenSensors,
     CandidateEffect,
     DesignedInput,
     Diagnosis,
@@ -48,6 +49,7 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
             "excitation": d.excitation,
             "findings": list(d.findings),
             "proposals": list(d.proposals),
+            "between": _between(d.between) if d.between else None,
             "base": _estimates(d.base),
             "parameters": _estimates(d.parameters),
             "rounds": [_round(r) for r in d.rounds],
@@ -60,6 +62,12 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
         }
     )
     return content
+
+
+def _between(between: BetweenSensors) -> dict[str, Any]:
+    parts = {name: _estimates(own) for name, own in between.parts.items()}
+    errors = {"before": between.before, "after": between.after, "unit": between.unit}
+    return {"parts": parts, "difference": errors}
 
 
 def _effect(e: Named) -> dict[str, Any]:

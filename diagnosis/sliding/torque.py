@@ -28,10 +28,10 @@ MOTION = ("theta", "v", "u", "time", *RECORDED)
 @lru_cache(maxsize=128)
 def _function(
     law: str, effects: Names, free: Names
-) -> tuple[Callable[[list[Array | float]], list[Array]], Names, Mapping[str, float]]:
+) -> tuple[Callable[[list[Array | float]], list[Array]], Mapping[str, float], Mapping[str, float]]:
     """Return the torque without inertia and viscous friction, and its slopes by free parameters, as
-    a function of motion, what is known and parameters; names of what is known; the parameters'
-    defaults.
+    a function of motion, what is known and parameters; usual values of what is known and of the
+    parameters.
     """
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
@@ -49,7 +49,7 @@ def _function(
     rate = ca.substitute(rate, own, ca.vertcat(*seen.values())) if seen else rate
     rate = ca.substitute(rate, *_settled(system, seen))
     names = tuple(system.parameters)
-    known = tuple(f"{e.name}.{each.name}" for e in members for each in e.inputs)
+    known = {f"{e.name}.{each.name}": each.start for e in members for each in e.inputs}
     load = ca.vertcat(symbols["tau_load"], symbols["load_scale"])
     rate = ca.substitute(system.expand(rate), load, ca.DM([0.0, 1.0]))
     torque = symbols["J"] * rate + symbols["a2"] * v
@@ -101,12 +101,12 @@ def sliding_torque(
 
     Raise `NotStaticError` where it depends on more than motion and input.
     """
-    function, known_names, defaults = _function(law, effects, free)
+    function, usual, defaults = _function(law, effects, free)
     known = {**defaults, **values, "sample_time": over.h}
     shown = CONTROLLER.name in effects
     motion: list[Array | float] = [over.theta, over.v, over.u, over.time]
     motion += [getattr(over, name) if shown else 0.0 for name in RECORDED]
-    beside = [over.known.get(name, 1.0) for name in known_names]
+    beside = [over.known.get(name, start) for name, start in usual.items()]
     torque, *slopes = (
         np.broadcast_to(each, over.theta.shape)
         for each in function([*motion, *beside, *(known[name] for name in defaults)])

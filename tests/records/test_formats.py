@@ -314,7 +314,7 @@ def test_a_file_of_another_kind_is_one_line(suffix, tmp_path):
     )
     with pytest.raises(
         BristleError,
-        match=r"cannot be read|is no (NPZ archive|array|XLSX workbook|JSON)|no (column|metadata)",
+        match=r"cannot be read|is no (NPZ|array|XLSX workbook|JSON|MDF)|no (column|metadata)",
     ) as caught:
         read_columns(path)
     assert "\n" not in str(caught.value)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from bristle.diagnosis.answer import (
     OUTLIERS,
+    BetweenSensors,
     Diagnosis,
     Estimate,
     Line,
@@ -68,7 +69,35 @@ def statement(d: Diagnosis) -> tuple[str, ...]:
         if d.whole is None
         else [open_loop_line(d.whole, d.whole.horizons[0].seconds, d.model.controller is not None)]
     )
-    return (*leads, *answer_lines(d), *whole)
+    between = () if d.between is None else (between_line(d.between),)
+    return (*leads, *answer_lines(d), *whole, *between)
+
+
+BETWEEN_WORDS = {
+    "backlash": "a play of {play}",
+    "compliance": "a compliance, on which the load swings at {frequency} while the motor is held",
+    "eccentric_encoder": "an eccentric encoder or wheel, amplitude {amplitude}",
+    "transmission_error": "a wave of the transmission, {periods} in a turn, amplitude {amplitude}",
+}
+
+
+def between_line(between: BetweenSensors) -> str:
+    """Return what lies between the positions of motor and load."""
+    parts = [
+        BETWEEN_WORDS[name].format(
+            **{key: value(e) if e.ci95 else f"{e.value:g}" for key, e in own.items()}
+        )
+        for name, own in between.parts.items()
+    ]
+    if not parts:
+        return (
+            "Between the positions of motor and load nothing is seen: no play, no compliance, no"
+            " wave."
+        )
+    return (
+        f"Between the positions of motor and load: {listed(parts, 'and')}. That leaves"
+        f" {between.after:.3g} of {between.before:.3g} {between.unit} of their difference, rms."
+    )
 
 
 def answer_lines(d: Diagnosis) -> tuple[str, ...]:
