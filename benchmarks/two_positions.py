@@ -136,6 +136,11 @@ def main() -> None:
         f"`python benchmarks/two_positions.py --cases {given.cases} --seed {given.seed}`:", end=" "
     )
     print("\n\n".join(__doc__.split("\n\n")[2:]))
+    report(cases)
+
+
+def report(cases: list[Case]) -> None:
+    """Print the tables."""
     print("| between the positions | cases | exactly that found |\n|---|---|---|")
     for kind in (*KINDS, None):
         own = [c for c in cases if kind is None or set(c.true) == set(kind)]
