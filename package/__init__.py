@@ -29,9 +29,8 @@ from bristle.common.arguments import as_choice, as_names, as_path, as_paths, as_
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from bristle.diagnosis import Diagnosis, Model, Record, Validation
+    from bristle.records.intake import RecordArrays
     from bristle.result import Reproduction, Result, SweepResult
 
     __version__: str
@@ -617,9 +616,7 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     return diagnosis.load_records(_model(model), as_paths("files", files))
 
 
-def records_from_arrays(
-    model: PathLike | Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]
-) -> list[Record]:
+def records_from_arrays(model: PathLike | Model, arrays: Iterable[RecordArrays]) -> list[Record]:
     """Check and clean records in memory.
 
     Parameters

@@ -70,6 +70,11 @@ class Requirements:
 
 
 AS_RECORDED = Requirements()
+# name, time, input, output and, where the layout has more, what else is known
+RecordArrays = (
+    tuple[str, ArrayLike, ArrayLike, ArrayLike]
+    | tuple[str, ArrayLike, ArrayLike, ArrayLike, Mapping[str, ArrayLike]]
+)
 
 
 def read_record(layout: Layout, path: Path | str) -> Record:
@@ -152,7 +157,7 @@ def records_of_tables(
 
 def records_from_arrays(
     layout: Layout,
-    arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]],
+    arrays: Iterable[RecordArrays],
     needs: Requirements = AS_RECORDED,
 ) -> list[Record]:
     """Check and repair records in memory; return at least one for each entry, all with the same

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from numpy.typing import ArrayLike
-
 from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.records import intake
 from bristle.records.clock import must_agree
-from bristle.records.intake import Requirements
+from bristle.records.intake import RecordArrays, Requirements
 from bristle.records.layout import LOAD
 from bristle.records.record import Record
 
@@ -37,9 +35,7 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     return intake.read_records(model, paths, NEEDS)
 
 
-def records_from_arrays(
-    model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]
-) -> list[Record]:
+def records_from_arrays(model: Model, arrays: Iterable[RecordArrays]) -> list[Record]:
     """Check records in memory and repair them as a diagnosis needs it.
 
     Parameters
