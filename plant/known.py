@@ -48,7 +48,7 @@ KNOWN = Effect(
     inputs=(
         Variable("torque", "N.m", "known torque against the motor", minimum=-1e9, maximum=1e9),
         Variable("inertia_factor", "1", "factor on J", 1.0, minimum=1e-9, maximum=1e9),
-        Variable("inertia_added", "kg.m2", "inertia beside J", minimum=0.0, maximum=1e9),
+        Variable("inertia_added", "kg.m2", "inertia beside J", minimum=-1e9, maximum=1e9),
     ),
     load_side=True,
     torque=torque,

@@ -24,6 +24,7 @@ from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.sliding.loop import Loop, loop_of
 from bristle.diagnosis.sliding.screen import dry_friction
 from bristle.diagnosis.stages.case import Budget, SearchedCase
+from bristle.plant.known import KNOWN
 from bristle.records.headings import without_unit
 from bristle.records.layout import Column, Layout
 
@@ -135,7 +136,7 @@ class _Trial:
         """True if it decides, and a name may follow from all records then."""
         some, h, seen = case.records[0], case.dataset.segments.h, self.responses[0]
         time = np.asarray(h * np.arange(len(seen.u)), dtype=np.float64)
-        record = replace(some, time=time, u=seen.u, y=seen.y, velocity=None)
+        record = replace(some, time=time, u=seen.u, y=seen.y, velocity=None, known={})
         return self.gain > TIE_NATS and not excitation(case.model, [*case.records, record]).uniform
 
 
@@ -156,7 +157,8 @@ def design(case: SearchedCase, answer: Diagnosis, options: SearchOptions) -> Des
     large as theirs.
     """
     rivals = tuple(rivals_of(case, answer))
-    if len(rivals) < 2 or case.model.known:  # nobody knows what an arm does in a new motion
+    # nobody knows what the rest of an arm does in a new motion
+    if len(rivals) < 2 or KNOWN.name in case.model.effects:
         return None
     # what the records keep to
     s, m = case.dataset.segments, case.dataset.motion

@@ -17,6 +17,7 @@ from bristle.diagnosis.checks.records import load_records
 from bristle.diagnosis.modelfile import Model, ModelTable
 from bristle.diagnosis.robot.rigid_body import RigidBodies
 from bristle.plant.known import KNOWN
+from bristle.plant.servo import J
 from bristle.records.layout import InputTable, OutputTable, TimeTable
 from bristle.records.record import Record
 
@@ -24,6 +25,9 @@ from bristle.records.record import Record
 # friction over the torque that the arm leaves of the input, viscous friction that gives as much
 ROTOR_SHARE, FRICTION_LEFT = 0.1, 0.5
 ARM_BOUND = 100.0  # factor by which they may move
+OWN_ERROR = 0.2  # of the inertia of the bodies: by which a URDF may be wrong
+LEAST_LEFT = 1.05  # of what is taken off J at most: least J
+TORQUE, ADDED = f"{KNOWN.name}.torque", f"{KNOWN.name}.inertia_added"
 
 
 class RobotTable(Section):
@@ -123,44 +127,51 @@ def joints_of(arm: Arm, paths: Sequence[Path]) -> dict[str, tuple[Model, list[Re
         carried.append(arm.bodies.carried(positions, record.h))
     found = {}
     for name, records in read.items():
+        mean = float(np.mean(np.concatenate([each[name].inertia for each in carried])))
         own = []
         for k, record in enumerate(records):
-            at = [
+            torque, inertia = (
                 np.interp(record.time, first[k].time, x)
-                for x in (carried[k][name].torque, carried[k][name].inertia)
-            ]
-            keys = (f"{KNOWN.name}.torque", f"{KNOWN.name}.inertia_added")
-            own.append(replace(record, known=dict(zip(keys, at, strict=True))))
-        found[name] = _model(arm, name, own), own
+                for x in (carried[k][name].torque, carried[k][name].inertia - mean)
+            )
+            own.append(replace(record, known={TORQUE: torque, ADDED: inertia}))
+        found[name] = _model(arm, name, mean, own), own
     return found
 
 
-def _model(arm: Arm, name: str, records: Sequence[Record] = ()) -> Model:
-    """Return the model of a joint, what is not known of it from its records."""
+def _model(arm: Arm, name: str, carried: float = 0.0, records: Sequence[Record] = ()) -> Model:
+    """Return the model of a joint, what is not known of it from its records; `carried`: the mean
+    inertia [kg.m2] of what it carries, which is part of J here.
+    """
     table = dict(arm.tables[name])
     if "parameters" not in table:
-        table |= _rough(records)
+        table |= _rough(carried, records)
     where = f"{arm.path}: joints.{name}"
     model = Model.from_dict({k: x for k, x in table.items() if k in ModelTable.model_fields}, where)
-    return replace(model, effects={**model.effects, KNOWN.name: {"scale": 1.0}})
+    least = LEAST_LEFT * max([0.0, *(-float(np.min(r.known[ADDED])) for r in records)])
+    parameters = {**model.parameters, J.name: max(model.parameters[J.name] + carried, least)}
+    bounds = dict(model.bounds)
+    if J.name in bounds:
+        low, high = bounds[J.name]
+        bounds[J.name] = (max(low + carried - OWN_ERROR * carried, least), high + carried)
+    known = {KNOWN.name: {"scale": 1.0}}
+    effects = {**model.effects, **known}
+    return replace(model, parameters=parameters, bounds=bounds, effects=effects)
 
 
-def _rough(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+def _rough(carried: float, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
     """Return parameters and bounds of a joint of which nothing is known."""
-    inertia, friction, speed = 1.0, 1.0, 1.0
+    friction, speed = 1.0, 1.0
     if records:
-        known = [{key.partition(".")[2]: x for key, x in r.known.items()} for r in records]
-        inertia = float(np.mean(np.concatenate([each["inertia_added"] for each in known])))
-        left = np.concatenate([r.u - x["torque"] for r, x in zip(records, known, strict=True)])
+        left = np.concatenate([r.u - r.known[TORQUE] for r in records])
         moved = np.concatenate([np.gradient(r.y, r.h) for r in records])
         friction = float(np.sqrt(np.mean(np.square(left)))) or 1.0
         speed = float(np.sqrt(np.mean(np.square(moved)))) or 1.0
     values = {
-        "J": ROTOR_SHARE * inertia,
+        "J": ROTOR_SHARE * (carried or 1.0),
         "a2": FRICTION_LEFT * friction / speed,
         "Fc": FRICTION_LEFT * friction,
     }
     short = {key: float(f"{x:.3g}") for key, x in values.items() if math.isfinite(x)}
     bounds = {key: [0.0, ARM_BOUND * x] for key, x in short.items()}
-    bounds["J"] = [short["J"] / ARM_BOUND, ARM_BOUND * short["J"]]
-    return {"parameters": short, "bounds": bounds}
+    return {"parameters": short, "bounds": bounds | {"J": [1e-9, ARM_BOUND * short["J"]]}}

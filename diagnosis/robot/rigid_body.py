@@ -14,7 +14,10 @@ from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.sliding.stretches import smooth
 
-SMOOTHED_MOTION = 0.02  # s: half-width of the parabola that gives velocities and accelerations
+# s: half-widths of the parabola that gives accelerations: the shortest is taken whose noise is less
+# than this share of them
+HALF_WIDTHS = (0.003, 0.005, 0.01, 0.02, 0.04)
+ACCELERATION_NOISE = 0.02
 MOVING_JOINTS = ("revolute", "continuous", "prismatic")
 DRAWN_PARTS = ("visual", "collision")  # parts of a link that have no mass
 # what a body without an inertia is given, so that the library takes it: it moves nothing
@@ -72,11 +75,8 @@ class RigidBodies:
         q, v, a = np.zeros((n, self._model.nq)), np.zeros((n, width)), np.zeros((n, width))
         for name, x in positions.items():
             dof, at = self._places[name]
-            q[:, at] = smooth(x, h, SMOOTHED_MOTION)
-            v[:, dof], a[:, dof] = (
-                smooth(x, h, SMOOTHED_MOTION, 1),
-                smooth(x, h, SMOOTHED_MOTION, 2),
-            )
+            half = _half_width(x, h)
+            q[:, at], v[:, dof], a[:, dof] = (smooth(x, h, half, order) for order in (0, 1, 2))
         torque, inertia = np.empty((n, width)), np.empty((n, width))
         mass, ones = np.empty((width, width)), np.eye(width)
         library, data = self._library, self._data
@@ -92,6 +92,18 @@ class RigidBodies:
             name: Carried(torque[:, self._places[name][0]], inertia[:, self._places[name][0]])
             for name in positions
         }
+
+
+def _half_width(x: Array, h: float) -> float:
+    """Return the half-width [s] of the parabola that gives the acceleration of a position (n,)."""
+    usual = float(np.sqrt(np.mean(np.square(smooth(x, h, HALF_WIDTHS[-1], 2)))))
+    noise = float(np.std(x - smooth(x, h, 2 * h)))
+    for half in HALF_WIDTHS:
+        # the deviation of the second derivative of a parabola through so many noisy samples
+        count = 2 * max(2, round(half / h)) + 1
+        if noise * np.sqrt(720.0 / count**5) / h**2 < ACCELERATION_NOISE * usual:
+            return half
+    return HALF_WIDTHS[-1]
 
 
 def _without_pictures(path: Path) -> tuple[str, list[str]]:
