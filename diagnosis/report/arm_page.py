@@ -28,7 +28,14 @@ def write_arm(
     check_writable(out)
     content = {joint: diagnosis_content(found) for joint, found in joints.items()}
     short = {joint: {key: own[key] for key in KEPT} for joint, own in content.items()}
-    page = pages.render(
+    page = render(name, joints, made)
+    files = {"diagnosis.json": to_json({"joints": short, "provenance": made}), "report.html": page}
+    replace_files(out, {file: text.encode() for file, text in files.items()}, ARM_FILES)
+
+
+def render(name: str, joints: Mapping[str, Diagnosis], made: Mapping[str, Any]) -> str:
+    """Return the page of an arm; `made` is the key `provenance`."""
+    return pages.render(
         "bristle.diagnosis.report/arm.html",
         name=name,
         rows=[_row(joint, found) for joint, found in joints.items()],
@@ -36,8 +43,6 @@ def write_arm(
         named=sum(found.verdict == "named" for found in joints.values()),
         made=made,
     )
-    files = {"diagnosis.json": to_json({"joints": short, "provenance": made}), "report.html": page}
-    replace_files(out, {file: text.encode() for file, text in files.items()}, ARM_FILES)
 
 
 def _row(joint: str, found: Diagnosis) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from bristle.diagnosis.sliding.stretches import smooth
 # s: half-widths of the parabola that gives accelerations: the shortest is taken whose noise is less
 # than this share of them
 HALF_WIDTHS = (0.003, 0.005, 0.01, 0.02, 0.04)
-ACCELERATION_NOISE = 0.02
+NOISE_SHARE = 0.02
 MOVING_JOINTS = ("revolute", "continuous", "prismatic")
 DRAWN_PARTS = ("visual", "collision")  # parts of a link that have no mass
 # what a body without an inertia is given, so that the library takes it: it moves nothing
@@ -101,7 +101,7 @@ def _half_width(x: Array, h: float) -> float:
     for half in HALF_WIDTHS:
         # the deviation of the second derivative of a parabola through so many noisy samples
         count = 2 * max(2, round(half / h)) + 1
-        if noise * np.sqrt(720.0 / count**5) / h**2 < ACCELERATION_NOISE * usual:
+        if noise * np.sqrt(720.0 / count**5) / h**2 < NOISE_SHARE * usual:
             return half
     return HALF_WIDTHS[-1]
 

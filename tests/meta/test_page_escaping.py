@@ -12,8 +12,8 @@ import pytest
 from bristle.common import pages
 from bristle.common.drawing import Drawing
 from bristle.diagnosis.answer import Undetected, ValidatedRecord, Validation
+from bristle.diagnosis.report import arm_page, validation_page
 from bristle.diagnosis.report import html as diagnosis_page
-from bristle.diagnosis.report import validation_page
 from bristle.fmus import related
 from bristle.fmus.documentation import documentation
 from bristle.harness.baseline import comparison_page
@@ -176,6 +176,17 @@ def diagnosis_of(_):
     return text
 
 
+def arm_of(_):
+    path = ROOT / "tests" / "diagnosis" / "fabricated.py"
+    spec = importlib.util.spec_from_file_location("fabricated_for_arms", path)
+    fabricated = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fabricated)
+    joints = {f"{EVIL}{k}": make() for k, make in enumerate(fabricated.CASES.values())}
+    notes = (f"known torque {EVIL}",)
+    joints = {name: replace(each, notes=notes) for name, each in joints.items()}
+    return arm_page.render(EVIL, joints, MADE)
+
+
 def validation_of(_):
     x = np.arange(5.0)
     record = ValidatedRecord(EVIL, EVIL, 1.0, 1.0, 1.0, ((1.0, 1.0),), x, x, x, x)
@@ -206,6 +217,7 @@ PAGES = {
     "harness/exchange/templates/experiments.html": experiments_of,
     "harness/paper/templates/report.html": paper_of,
     "diagnosis/report/templates/report.html": diagnosis_of,
+    "diagnosis/report/templates/arm.html": arm_of,
     "diagnosis/report/templates/validation.html": validation_of,
 }
 
