@@ -317,6 +317,11 @@ def validate(
         If there is no record, or the model cannot be simulated.
     """
     check_arguments(model, records)
+    if model.controller is not None and "kp" not in model.controller:
+        raise BristleError(
+            "the model: controller.kp is not given, and nothing is fitted here; validate the"
+            " augmented.toml of a diagnosis, or give kp"
+        )
     records, notes = on_one_clock(model, [with_known(model, record) for record in records])
     name = model.friction if model.path is None else model.path.name
     simulation = model_simulation(model, records[0].h)

@@ -21,7 +21,7 @@ _parameter = declaring("controller", f"{SOURCE} section 3.4")
 
 def _error(c: Context) -> ca.SX:
     """Return the error of the position that the controller sees: a lag behind, as its velocity."""
-    return ca.SX(c.u - (c.theta - c.p.lag * c.p.speed))
+    return ca.SX(c.u + c.p.offset - (c.theta - c.p.lag * c.p.speed))
 
 
 def _asked(c: Context) -> ca.SX:
@@ -90,6 +90,7 @@ CONTROLLER = Effect(
         _parameter("ki", "ki", "N.m/(rad.s)", (0.0, 0.0, 1e12), "{torque} over its integral"),
         _parameter("kd", "kd", "N.m.s/rad", (0.0, 0.0, 1e12), "{torque} over error of velocity"),
         _parameter("lag", "tau", "s", (0.0, 0.0, 0.05), "lag of the position that it sees"),
+        _parameter("offset", "e_1", "rad", (0.0, -1e3, 1e3), "what its position reads too little"),
         _parameter("limit", "T_max", "N.m", (1e12, 0.0, 1e12), "largest {torque} it asks for"),
         _parameter("weight", "w", "1", (1.0, 0.0, 2.0), "weight of the setpoint beside kp"),
         _parameter("forward", "f", "1", (1.0, 0.0, 2.0), "weight of the setpoint's rate beside kd"),

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft, ndimage, stats
 
 from bristle.common.table import Array
-from bristle.records.layout import Layout
+from bristle.records.layout import SETPOINT, Layout
 from bristle.records.record import Raw, Record
 from bristle.records.resolution import common_step
 
@@ -138,8 +138,9 @@ def repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     declared = resolution or layout.resolution
     _repair_spikes(raw, declared)
     wrapped = layout.output_kind == "position" and _unwrap(layout, raw, resolution)
-    _report_frozen(raw, declared)
-    _report_limits(raw)
+    _report_frozen(raw, declared, layout.input_kind != SETPOINT)
+    if layout.input_kind != SETPOINT:  # a goal rests
+        _report_limits(raw)
     must_move(layout, raw, declared)
     return wrapped
 
@@ -236,9 +237,9 @@ def _counter(turn: float, resolution: float | None) -> float | None:
     )
 
 
-def _report_frozen(raw: Raw, resolution: float | None) -> None:
-    """Report an output that freezes in motion and then catches up, or stays at rest while the input
-    covers most of its range.
+def _report_frozen(raw: Raw, resolution: float | None, driven: bool) -> None:
+    """Report an output that freezes in motion and then catches up or, where the input is what
+    drives it, stays at rest while that covers most of its range.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(raw.y) == 0, [False]])))
     runs = edges.reshape(-1, 2)  # differences start..end-1 are zero
@@ -267,7 +268,7 @@ def _report_frozen(raw: Raw, resolution: float | None) -> None:
         "the output stands still while the input covers most of its range: a stop, a drive that is"
         " off, a stuck sensor?"
     )
-    for runs_found, what in ((caught, lost), (still, stuck)):
+    for runs_found, what in ((caught, lost), (still if driven else [], stuck)):
         if runs_found:
             start, end = runs_found[0]
             where = (

@@ -319,8 +319,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         values |= {f"{effect}.{name}": value for name, value in its.items()}
         if effect not in UNNAMED_TORQUES:
             free += [_bounded(model, f) for f in _prior_around(effect, its)]
-    # all else is relative to it
-    free = [f for f in free if f.name != f"{CONTROLLER.name}.kp"]
+    free = _of_controller(free, dataset.resolution)
     servo = Servo(
         model.friction,
         tuple(model.effects),
@@ -332,6 +331,18 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         credible(dataset),
     )
     return servo, values
+
+
+def _of_controller(free: Sequence[Free], resolution: float) -> list[Free]:
+    """Return free parameters without kp, which all else is relative to, and with what is known of
+    a controller's reading: it is off by a step of the sensor or so.
+    """
+    kp, offset = (f"{CONTROLLER.name}.{name}" for name in ("kp", "offset"))
+    return [
+        replace(f, nominal=0.0, prior_sd=resolution) if f.name == offset else f
+        for f in free
+        if f.name != kp
+    ]
 
 
 def _bounded(model: Model, free: Free) -> Free:

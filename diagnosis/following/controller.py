@@ -22,7 +22,9 @@ from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import J
 
 LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a controller is fitted
-START_LAG = 1e-3  # s: lag of the position that a controller sees, from which it is fitted
+# of every controller: lag [s] of the position that it sees, and how far [rad] its reading is from
+# the logged one, which may be rounded otherwise
+BESIDE_ALL = {"lag": 1e-3, "offset": 0.0}
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
 START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
 LARGE_TORQUES = (
@@ -77,7 +79,7 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
             limits = [_fitted(model, slides, {**kind.own, "limit": x}) for x in kind.large]
             kinds.append(max(limits, key=lambda each: each.total))
     kinds.sort(key=lambda each: -each.total)
-    return [_with(model, {"lag": START_LAG, **kind.own, **known}) for kind in kinds[:MOST_SLIDING]]
+    return [_with(model, {**BESIDE_ALL, **kind.own, **known}) for kind in kinds[:MOST_SLIDING]]
 
 
 def _start(inertia: float, more: Collection[str], kp: float) -> dict[str, float]:

@@ -21,8 +21,8 @@ from bristle.diagnosis.checks.preparation import (
 from bristle.diagnosis.estimation.dataset import Dataset, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
 from bristle.diagnosis.following.controller import (
+    BESIDE_ALL,
     START_INTEGRAL,
-    START_LAG,
     controllers,
     large_torques,
     price,
@@ -134,7 +134,7 @@ def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
     known = model.controller or {}
     kp = known.get("kp", inertia * omega**2)
     damping = 2 * START_DAMPING * math.sqrt(inertia * kp)
-    own: dict[str, float] = {"kp": kp, "lag": START_LAG}
+    own: dict[str, float] = {"kp": kp, **BESIDE_ALL}
     parameters = dict(model.parameters)
     if "kd" in parts:
         own["kd"] = damping

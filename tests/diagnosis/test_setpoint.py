@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis import diagnose, records_from_arrays
+from bristle.diagnosis import diagnose, records_from_arrays, validate
 from bristle.diagnosis.checks.preparation import slides_of
 from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.init.proposal import propose
@@ -133,6 +133,12 @@ def test_the_observers_of_a_scenario_need_what_drives_the_servo(tmp_path):
         read_samples(load(tmp_path / "s.toml"))
 
 
+def test_a_controller_that_is_not_known_is_not_validated():
+    model, records = records_of({"kp": 6.0}, seconds=3.0)
+    with pytest.raises(BristleError, match=r"controller\.kp is not given"):
+        validate(model, records)
+
+
 # -- what the motion shows of the controller -------------------------------------------------------
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -151,7 +157,7 @@ def test_its_structure_and_its_gains_are_found(gains):
     assert ("ki" in found) == ("ki" in gains)
     assert ("limit" in found) == ("limit" in gains)
     # relative to the nominal inertia, which is the true one
-    assert found["kp"] == pytest.approx(6.0, rel=0.15)
+    assert found["kp"] == pytest.approx(6.0, rel=0.25)
     for name in ("ki", "limit"):
         if name in gains:
             assert found[name] / found["kp"] == pytest.approx(gains[name] / 6.0, rel=0.05)

@@ -30,7 +30,7 @@ def same(shown: str, printed: str) -> None:
     np.testing.assert_allclose(numbers[1], numbers[0], rtol=TOLERANCE, atol=0.02)
 
 
-def test_all_seven_are_there():
+def test_all_eight_are_there():
     assert PAGES == [
         "diagnose.md",
         "fmu.md",
@@ -39,6 +39,7 @@ def test_all_seven_are_there():
         "own_scenario.md",
         "rig.md",
         "run.md",
+        "smart_servo.md",
     ]
 
 
