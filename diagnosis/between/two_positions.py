@@ -8,7 +8,7 @@ follows the sign of T, compliance (1/k) its size, an eccentric encoder or wheel 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -76,9 +76,11 @@ def between_sensors(model: Model, records: Sequence[Record]) -> BetweenSensors |
     motion = _motion(records)
     step = max(model.resolution or 0.0, *(r.resolution or 0.0 for r in records))
     waves = 0 if model.linear else _waves(motion)
-    fits = list(_fits(motion, waves))
+    frictions = list(product(FRICTION_SHARES, VISCOUS_SHARES))
+    fits = [_fit(motion, waves, friction) for friction in frictions]
     k = int(np.argmin([each.left for each in fits]))
-    seen = _Seen(fits[k], tuple(list(_fits(motion, waves, *way))[k] for way in OTHER_WAYS), step)
+    others = tuple(_fit(motion, waves, frictions[k], *way) for way in OTHER_WAYS)
+    seen = _Seen(fits[k], others, step)
     unit = model.output_unit
     parts = _coupling(seen, unit)
     if waves:
@@ -165,31 +167,31 @@ def _waves(motion: _Motion) -> int:
     return best
 
 
-def _fits(
-    motion: _Motion, waves: int, settling: float = 1.0, carried: float = 1.0
-) -> Iterator[_Fit]:
-    """Give fits for shares of friction in the torque that the coupling carries; `settling`,
-    `carried`: factors on what is asked of the samples.
+def _fit(
+    motion: _Motion,
+    waves: int,
+    friction: tuple[float, float],
+    settling: float = 1.0,
+    carried: float = 1.0,
+) -> _Fit:
+    """Return the fit for shares of dry and viscous friction in the torque that the coupling
+    carries; `settling`, `carried`: factors on what is asked of the samples.
     """
     usual_a = float(np.sqrt(np.mean(np.square(motion.a))))
     usual_v = float(np.sqrt(np.mean(np.square(motion.v))))
-    way = np.tanh(motion.v / (SLOW * usual_v))
-    for dry, viscous in product(FRICTION_SHARES, VISCOUS_SHARES):
-        torque = motion.a + usual_a * (dry * way + viscous * motion.v / usual_v)
-        size = float(np.sqrt(np.mean(np.square(torque))))
-        columns: dict[str, Array] = {
-            f"offset {k}": (motion.record == k).astype(float) for k in np.unique(motion.record)
-        }
-        columns |= {"play": np.tanh(torque / (SOFT * size)), "give": torque}
-        if waves:
-            columns |= {
-                "sine": np.sin(waves * motion.theta),
-                "cosine": np.cos(waves * motion.theta),
-            }
-        # a load that flies through its play carries no torque
-        side = np.sign(torque) * (np.abs(torque) > carried * CARRIED * size)
-        chosen = _settled(side, settling * motion.settling)
-        yield _fitted({key: x[chosen] for key, x in columns.items()}, motion.apart[chosen])
+    way, (dry, viscous) = np.tanh(motion.v / (SLOW * usual_v)), friction
+    torque = motion.a + usual_a * (dry * way + viscous * motion.v / usual_v)
+    size = float(np.sqrt(np.mean(np.square(torque))))
+    columns: dict[str, Array] = {
+        f"offset {k}": (motion.record == k).astype(float) for k in np.unique(motion.record)
+    }
+    columns |= {"play": np.tanh(torque / (SOFT * size)), "give": torque}
+    if waves:
+        columns |= {"sine": np.sin(waves * motion.theta), "cosine": np.cos(waves * motion.theta)}
+    # a load that flies through its play carries no torque
+    side = np.sign(torque) * (np.abs(torque) > carried * CARRIED * size)
+    chosen = _settled(side, settling * motion.settling)
+    return _fitted({key: x[chosen] for key, x in columns.items()}, motion.apart[chosen])
 
 
 def _settled(side: Array, samples: float) -> Array:

@@ -43,7 +43,7 @@ from bristle.diagnosis.free_parameter import Free, free_parameters
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.sliding.stretches import Stretches, smooth, stretches_of
-from bristle.diagnosis.sliding.torque import drive_torque
+from bristle.diagnosis.sliding.torque import driving_input
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effect as find_effect
@@ -210,7 +210,7 @@ def _stretches(records: Sequence[Record], velocity: bool, resolution: float) -> 
 
 def _asked(model: Model, over: Stretches, pieces: Sequence[Piece]) -> Array:
     """Return what a controller asks for (samples,), cut to segments."""
-    asked = drive_torque(tuple(model.effects), model.settings(), over)
+    asked = driving_input(tuple(model.effects), model.settings(), over)
     parts = [asked[over.record == k][: len(piece.u)] for k, piece in enumerate(pieces)]
     return np.concatenate(parts)
 

@@ -17,7 +17,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.sliding.screen import GROSS_GAIN
 from bristle.diagnosis.sliding.stretches import Stretches
-from bristle.diagnosis.sliding.torque import Names, drive_torque
+from bristle.diagnosis.sliding.torque import Names, driving_input
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import J
 
@@ -27,10 +27,8 @@ LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a contro
 BESIDE_ALL = {"lag": 1e-3, "offset": 0.0}
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
 START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
-LARGE_TORQUES = (
-    0.98,
-    0.85,
-)  # quantiles of the torque that is asked for: limits from which it is fitted
+# quantiles of the torque that is asked for: limits from which it is fitted
+LARGE_TORQUES = (0.98, 0.85)
 MOST_SLIDING = 2  # kinds of controllers that are simulated
 
 Values = Mapping[str, float]
@@ -117,7 +115,7 @@ def _fitted(model: Model, slides: Slides, start: Values) -> _Fitted:
 
 def large_torques(effects: Names, values: Values, over: Stretches) -> list[float]:
     """Return large torques that a controller asks for [N.m]."""
-    asked = np.abs(drive_torque(effects, values, over))
+    asked = np.abs(driving_input(effects, values, over))
     return [float(np.quantile(asked, share)) for share in LARGE_TORQUES]
 
 

@@ -28,6 +28,7 @@ from bristle.diagnosis.following.controller import (
     price,
 )
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.validation.long_simulation import (
     Records,
     fitted_error,
@@ -76,56 +77,53 @@ def _loops(model: Model, records: Sequence[Record]) -> Iterator[tuple[float, Mod
     """Give models with a controller of each kind and the error of each over whole records: the
     controllers that the sliding motion shows, the nearest of some loops, and that with a limit.
     """
-    known = model.controller or {}
+    known, loops = model.controller or {}, _Loops.of(dataset_of(model, records), records)
     starts = controllers(model, slides_of(model, records))
     for parts in ACTIONS:
         if not set(parts) & set(known):
             tries = [_loop(model, parts, frequency) for frequency in START_FREQUENCIES]
-            starts.append(min(tries, key=lambda each: _Loop.of(each, records).error))
+            starts.append(min(tries, key=loops.error))
     best = math.inf, model
     for start in starts:
-        found = _Loop.of(start, records).refitted()
+        found = loops.refitted(start)
         best = min(best, found, key=lambda each: each[0])
         yield found
     if "limit" not in known:
-        for limited in _limited(best[1], records):
-            yield _Loop.of(limited, records).refitted()
+        for limited in _limited(best[1], loops.dataset.stretches):
+            yield loops.refitted(limited)
 
 
 @dataclass(frozen=True)
-class _Loop:
-    """A model over whole records, in its loop."""
+class _Loops:
+    """Whole records, over which models are simulated in their loops."""
 
-    model: Model
     dataset: Dataset
-    records: Records
+    whole: Segments
+    least: float  # error that counts as none [unit of the output]
 
     @classmethod
-    def of(cls, model: Model, records: Sequence[Record]) -> _Loop:
-        dataset = dataset_of(model, records)
-        return cls(model, dataset, Records.of(dataset, records, dataset.segments.times))
+    def of(cls, dataset: Dataset, records: Sequence[Record]) -> _Loops:
+        own = Records.of(dataset, records, dataset.segments.times)
+        return cls(dataset, own.stretches(own.seconds), own.least)
 
-    @property
-    def error(self) -> float:
-        """The rms error [unit of the output]; infinite where the simulation fails."""
-        servo, values = base_servo_of(self.model, self.dataset)
-        return fitted_error(with_fitted_starts(servo, values, self._whole, self.records.least))
+    def error(self, model: Model) -> float:
+        """Return the rms error of a model [unit of the output]; infinite where its simulation
+        fails.
+        """
+        servo, values = base_servo_of(model, self.dataset)
+        return fitted_error(with_fitted_starts(servo, values, self.whole, self.least))
 
-    def refitted(self) -> tuple[float, Model]:
-        """Return the rms error of the model refitted to whole records, and that model."""
-        servo, values = base_servo_of(self.model, self.dataset)
-        fit = refit_horizon(servo, values, self._whole, self.records.least)
+    def refitted(self, model: Model) -> tuple[float, Model]:
+        """Return the rms error of a model refitted to whole records, and that model."""
+        servo, values = base_servo_of(model, self.dataset)
+        fit = refit_horizon(servo, values, self.whole, self.least)
         if fit is None:
-            return math.inf, self.model
-        model, own = self.model, fit.values
+            return math.inf, model
+        own = fit.values
         controller = {key: float(own[f"{CONTROLLER.name}.{key}"]) for key in model.controller or ()}
         parameters = {key: float(own.get(key, x)) for key, x in model.parameters.items()}
         effects = {**model.effects, CONTROLLER.name: controller}
         return fitted_error(fit), replace(model, parameters=parameters, effects=effects)
-
-    @property
-    def _whole(self) -> Segments:
-        return self.records.stretches(self.records.seconds)
 
 
 def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
@@ -147,8 +145,8 @@ def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
     return replace(model, parameters=parameters, effects={**model.effects, **controller})
 
 
-def _limited(model: Model, records: Sequence[Record]) -> Iterator[Model]:
+def _limited(model: Model, over: Stretches) -> Iterator[Model]:
     """Give a model with limits of the torque that it asks for."""
-    over, own = dataset_of(model, records).stretches, model.controller or {}
+    own = model.controller or {}
     for limit in large_torques(tuple(model.effects), model.settings(), over):
         yield replace(model, effects={**model.effects, CONTROLLER.name: {**own, "limit": limit}})

@@ -15,7 +15,7 @@ from bristle.common.table import Array
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import Stretches
-from bristle.diagnosis.sliding.torque import Names, drive_torque, sliding_torque
+from bristle.diagnosis.sliding.torque import Names, driving_input, sliding_torque
 
 ITERATIONS = 40  # most steps of a fit
 LEAST_RISE = 0.01  # nats: a step that gains less ends a fit
@@ -62,7 +62,8 @@ class SlidingModel:
 
     def drive(self, values: Mapping[str, float]) -> float:
         """Return the torque of the input, rms [N.m]."""
-        return float(np.sqrt(np.mean(np.square(drive_torque(self.effects, values, self.over)))))
+        u = driving_input(self.effects, values, self.over)
+        return abs(values["b"]) * float(np.sqrt(np.mean(np.square(u))))
 
 
 @dataclass(frozen=True)

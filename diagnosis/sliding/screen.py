@@ -17,7 +17,7 @@ from bristle.diagnosis.sliding.fit import (
     SlidingFit,
     fit_beside,
 )
-from bristle.diagnosis.sliding.torque import drive_torque
+from bristle.diagnosis.sliding.torque import driving_input
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -42,7 +42,7 @@ def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
     `turn` as of `Evidence`.
     """
     s, values = fit.model.over, fit.values
-    u = drive_torque(fit.model.effects, values, s) / values["b"]
+    u = driving_input(fit.model.effects, values, s)
     return Evidence(
         s.theta,
         s.v * s.slides,

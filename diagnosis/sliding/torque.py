@@ -125,13 +125,13 @@ def _asked(names: Names) -> Callable[[list[Array | float]], list[Array]]:
     return for_arrays(ca.Function("asked", [ca.vertcat(*symbols.values())], [asked]))
 
 
-def drive_torque(effects: Names, values: Mapping[str, float], over: Stretches) -> Array:
-    """Return the torque (samples,) of the input [N.m], or that a controller makes of it."""
+def driving_input(effects: Names, values: Mapping[str, float], over: Stretches) -> Array:
+    """Return the input (samples,), or the torque [N.m] that a controller makes of a setpoint."""
     if CONTROLLER.name not in effects:
-        return np.asarray(values["b"] * over.u)
+        return over.u
     defaults = {p.name: p.default for p in CONTROLLER.parameters}
     function = _asked(tuple(defaults))
     motion = [getattr(over, name) for name in MOTION]
     own = [values.get(name, default) for name, default in defaults.items()]
     [torque] = function([*motion, *own, over.h])
-    return np.asarray(values["b"] * torque)
+    return torque

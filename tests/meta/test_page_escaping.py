@@ -154,14 +154,17 @@ def paper_of(_):
     return reproduce_page.render(content, dict.fromkeys(names, DRAWING))
 
 
-def diagnosis_of(_):
+def fabricated_diagnoses():
     path = ROOT / "tests" / "diagnosis" / "fabricated.py"
     spec = importlib.util.spec_from_file_location("fabricated_for_pages", path)
     fabricated = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(fabricated)
+    return [make() for make in fabricated.CASES.values()]
+
+
+def diagnosis_of(_):
     text = ""
-    for make in fabricated.CASES.values():
-        diagnosis = make()
+    for diagnosis in fabricated_diagnoses():
         diagnosis = replace(
             diagnosis,
             **{name: (EVIL,) for name in ("leads", "notes", "corrections")},
@@ -177,13 +180,10 @@ def diagnosis_of(_):
 
 
 def arm_of(_):
-    path = ROOT / "tests" / "diagnosis" / "fabricated.py"
-    spec = importlib.util.spec_from_file_location("fabricated_for_arms", path)
-    fabricated = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(fabricated)
-    joints = {f"{EVIL}{k}": make() for k, make in enumerate(fabricated.CASES.values())}
     notes = (f"known torque {EVIL}",)
-    joints = {name: replace(each, notes=notes) for name, each in joints.items()}
+    joints = {
+        f"{EVIL}{k}": replace(each, notes=notes) for k, each in enumerate(fabricated_diagnoses())
+    }
     return arm_page.render(EVIL, joints, MADE)
 
 
