@@ -109,9 +109,9 @@ def extension(name: str) -> Extension:
     """Return the effect `name`: of `plant/effects`, of this file or what a model may have beside;
     raise `BristleError` for an unknown one.
     """
-    known = {**effects(packages=False), **SIGNAL_EFFECTS, **BESIDE}
-    if name in known:
-        return known[name]
+    known = {**effects(packages=False), **SIGNAL_EFFECTS}
+    if name in known or name in BESIDE:
+        return {**known, **BESIDE}[name]
     if name in offered("effects"):
         return effect(name)
     names = [*known, *offered("effects")]
