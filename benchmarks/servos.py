@@ -98,6 +98,11 @@ EFFECTS: dict[str, Callable[[Generator, float, Mapping[str, float], float], Fiel
     "gain_asymmetry": lambda rng, torque, true, unit: {
         "gain_asymmetry_share": _sign(rng) * 0.3 * min(torque / true["Fc"], 1.0)
     },
+    "torque_ripple": lambda rng, torque, true, unit: {
+        "torque_ripple_share": 0.3 * min(torque / true["Fc"], 1.0),
+        "torque_ripple_periods": float(rng.integers(1, 13)),
+        "torque_ripple_phase": float(rng.uniform(-3, 3)),
+    },
 }
 
 

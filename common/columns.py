@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 # bytes: a file that holds more, unpacked, is refused before it fills the memory
 LARGEST_CONTENT = 2**29
+LONGEST_LIST = 64  # numbers: a longer list in a sample is an image or a scan
 MOST_COLUMNS = 2000  # columns: a file with more is no log of a servo
 MATRIX_RATIO = 10  # least ratio of length and width from which on a matrix is a table of columns
 KINDS = {

@@ -11,7 +11,7 @@ from bristle.common.columns import Array as Array
 from bristle.common.columns import Columns as Columns
 from bristle.common.columns import is_number
 from bristle.common.errors import BristleError, suggest
-from bristle.common.units import parse_unit
+from bristle.common.units import parse_unit, zero_of
 
 # letters of a column name, and column names, that an error message shows at most
 SHOWN_LETTERS, SHOWN_NAMES = 40, 20
@@ -88,6 +88,6 @@ def si_column(
                 ' "s"'
             )
     try:
-        return columns[name] * factor_to(unit, scale, si_unit)
+        return columns[name] * factor_to(unit, scale, si_unit) + zero_of(unit, si_unit)
     except BristleError as error:
         raise BristleError(f"{where}: {error}") from None

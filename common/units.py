@@ -9,10 +9,10 @@ from functools import cache
 
 from bristle.common.errors import BristleError
 
-__all__ = ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"]
+__all__ = ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity", "zero_of"]
 
 # the SI base units (and rad) that FMI's BaseUnit has and servo models need
-BASE = ("kg", "m", "s", "A", "rad")
+BASE = ("kg", "m", "s", "A", "K", "rad")
 
 _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
@@ -30,6 +30,8 @@ _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "min": (60.0, {"s": 1}),
     "A": (1.0, {"A": 1}),
     "mA": (1e-3, {"A": 1}),
+    "K": (1.0, {"K": 1}),
+    "degC": (1.0, {"K": 1}),  # of a difference; of a reading `zero_of` too
     "rad": (1.0, {"rad": 1}),
     "deg": (math.pi / 180.0, {"rad": 1}),
     "rev": (2.0 * math.pi, {"rad": 1}),
@@ -41,6 +43,8 @@ _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
     "mV": (1e-3, {"kg": 1, "m": 2, "s": -3, "A": -1}),
 }
+
+FREEZING = 273.15  # K
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,11 @@ def convert(value: float, unit: str, si_unit: str) -> float:
     if have.exponents != want.exponents:
         raise BristleError(f"unit '{unit}' does not fit: a unit like '{si_unit}' is needed")
     return value * (have.factor / want.factor)
+
+
+def zero_of(unit: str, si_unit: str) -> float:
+    """Return what a reading of zero in `unit` is in `si_unit`."""
+    return FREEZING if (unit, si_unit) == ("degC", "K") else 0.0
 
 
 def interval(low: float, high: float, unit: str = "1") -> str:

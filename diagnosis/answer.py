@@ -237,11 +237,12 @@ class Named:
     p: float
 
     def known_within(self, share: float) -> bool:
-        """Return whether its strength, or free play, is known to within this share, or given."""
-        strength = self.parameters.get(
-            find_effect(self.name).decisive.name.removeprefix(f"{self.name}.")
-        )
-        return strength is None or strength.known_within(share)
+        """Return whether one of its strengths, or its free play, is known to within this share, or
+        all are given.
+        """
+        names = [name.removeprefix(f"{self.name}.") for name in find_effect(self.name).strengths]
+        free = [self.parameters[name] for name in names if name in self.parameters]
+        return not free or any(each.known_within(share) for each in free)
 
     def with_estimates(self, fitted: Mapping[str, Estimate]) -> Named:
         """Return the effect with the estimates that there are of its parameters by their full

@@ -318,9 +318,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
     # effects that exclude each other, or the law, are refused here
     effects = {name: _effect(file, name, given) for name, given in table.effects.items()}
     effects |= {} if controller is None else {CONTROLLER.name: controller}
-    effects |= {KNOWN.name: {"scale": 1.0, **effects.get(KNOWN.name, {})}} if layout.known else {}
-    if KNOWN.name in effects and not layout.known:
-        raise file.mistake(f"effects.{KNOWN.name}", None, "lacks the columns of [known]; add them")
+    effects = _with_known(file, effects)
     if effects:
         try:
             servo(law, False, [find_effect(name) for name in effects])
@@ -336,6 +334,24 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         path=path,
         **vars(layout),
     )
+
+
+def _with_known(
+    file: _File, effects: Mapping[str, dict[str, float]]
+) -> dict[str, dict[str, float]]:
+    """Return the effects with the one of [known], if it has columns for it; refuse those that lack
+    a column.
+    """
+    found = dict(effects)
+    of_effects = {own.name: e.name for e in all_effects().values() for own in e.inputs}
+    acting = {of_effects.get(key, KNOWN.name) for key in file.layout.known}
+    if KNOWN.name in acting:
+        found[KNOWN.name] = {"scale": 1.0, **found.get(KNOWN.name, {})}
+    for name in found:
+        if (own := _may_have()[name].inputs) and name not in acting:
+            tables = " or ".join(f"[known.{each.name}]" for each in own)
+            raise file.mistake(f"effects.{name}", None, f"lacks a column; add {tables}")
+    return found
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -474,7 +490,7 @@ def _effect(file: _File, name: str, given: Mapping[str, Given]) -> dict[str, flo
         values[key] = file.number(f"effects.{name}.{key}", value, own[key])
     for key, parameter in own.items():
         if key not in values:
-            if parameter.default != 0.0 and key not in known[name].shape_parameters:
+            if parameter.default != 0.0 and key not in known[name].optional_parameters:
                 raise file.mistake(
                     f"effects.{name}.{key}", None, f"missing; add it ({parameter.description})"
                 )

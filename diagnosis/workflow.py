@@ -26,9 +26,8 @@ from bristle.diagnosis.checks.preparation import (
     PreparedCase,
     notes_of,
     prepared_case,
-    with_known,
 )
-from bristle.diagnosis.checks.records import check_arguments
+from bristle.diagnosis.checks.records import as_inputs, check_arguments
 from bristle.diagnosis.experiment.design import designed_experiment
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
 from bristle.diagnosis.fmu.plant_fmu import plant_fmu, unit_notes
@@ -129,7 +128,10 @@ def diagnose(
     tell = teller(progress)
     prepare = prepared_case if model.controller is None else following_case
     answer = search_prepared(
-        lambda given, notes: prepare(model, given, notes, tell), records, tell, options
+        lambda given, notes: prepare(model, given, notes, tell),
+        as_inputs(model, records),
+        tell,
+        options,
     )
     return replace(answer, between=between_sensors(model, records))
 
@@ -180,7 +182,8 @@ def diagnose_fmu(
     def prepare(given: Sequence[Record], notes: tuple[Line, ...]) -> PreparedCase | Diagnosis:
         return prepared_fmu_case(fmu, model, given, notes, (tell, timeout))
 
-    return search_prepared(prepare, records, tell, options)
+    answer = search_prepared(prepare, as_inputs(model, records), tell, options)
+    return replace(answer, between=between_sensors(model, records))
 
 
 def search_prepared(
@@ -322,7 +325,7 @@ def validate(
             "the model: controller.kp is not given, and nothing is fitted here; validate the"
             " augmented.toml of a diagnosis, or give kp"
         )
-    records, notes = on_one_clock(model, [with_known(model, record) for record in records])
+    records, notes = on_one_clock(model, as_inputs(model, records))
     name = model.friction if model.path is None else model.path.name
     simulation = model_simulation(model, records[0].h)
     return validated(name, model, records, simulation, notes, start_samples)

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TUTORIALS = Path(__file__).resolve().parent / "tutorials"
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 # what a long computation prints meanwhile
-PROGRESS = re.compile(r"^(?:\w+: .*, \d+%|bristle: compiling .*)\n", re.MULTILINE)
+PROGRESS = re.compile(r"^(?:[\w ]+: .*, \d+%|bristle: compiling .*)\n", re.MULTILINE)
 MARK = "--- end of output ---"
 LIMIT = 900  # s
 

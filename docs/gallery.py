@@ -40,6 +40,8 @@ SIZES = {
     "input_delay": {"delay": 0.008},
     "electrical_pole": {"time_constant": 0.008},
     "encoder_play": {"play": 0.3},
+    "temperature_friction": {"temperature": 340.0, "dry_fall": 0.005},
+    "torque_ripple": {"share": 0.3, "periods": 4.0},
 }
 
 # View of the residual -> label and unit of the axis over which the torque is drawn.

@@ -70,6 +70,8 @@ DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")
 OVER_INERTIA = ("alpha2", "b", "load", *DRY_FRICTION)
 LONGEST_DELAY = 40  # sampling periods kept by what delays a measurement (1)
 
+LARGEST_SPEED_SHARE = 0.25  # largest Stribeck velocity over the top speed (1)
+COMMON_SPEEDS = 1 - 0.05  # share of the samples whose speed is below the top speed (1)
 RESONANCE_WINDOW = 4.0  # s: length of the windows over which a spectrum is averaged
 PEAK_PROMINENCE = 1.0  # of the logarithm of the power: least of a peak above what surrounds it
 FLAT = 1e-9  # smallest value whose logarithm is taken (1)
@@ -197,6 +199,11 @@ class RecordedMotion:
     turn: float
     segment: float
     linear: bool
+
+    @property
+    def slow(self) -> tuple[float, float]:
+        """The interval of speeds at which what falls with the speed has fallen by the top speed."""
+        return 0.0, LARGEST_SPEED_SHARE * float(np.quantile(np.abs(self.v), COMMON_SPEEDS))
 
     @property
     def two_periods(self) -> float:
@@ -427,9 +434,21 @@ class Effect(Extension):
         )
 
     @property
+    def strengths(self) -> tuple[str, ...]:
+        """Full names of all parameters that must vanish for it to do nothing, or of the `decisive`
+        one.
+        """
+        return tuple(self.by_full_name(self.off)) if len(self.off) > 1 else (self.decisive.name,)
+
+    @property
     def shape_parameters(self) -> frozenset[str]:
         """Short names of the parameters of its shape."""
         return frozenset(short for start in self.shape_starts for short in start)
+
+    @property
+    def optional_parameters(self) -> frozenset[str]:
+        """Short names of the parameters of a second term and of its shape."""
+        return self.shape_parameters.union(self.second_term)
 
     @property
     def position_dependent(self) -> bool:
@@ -439,11 +458,10 @@ class Effect(Extension):
     @property
     def inactive_values(self) -> dict[str, float]:
         """Values, by full names, at which its optional parameters do nothing."""
-        optional = {*self.second_term, *self.shape_parameters}
         defaults = {
             p.name: p.default
             for p in self.parameters
-            if p.name.removeprefix(f"{self.name}.") in optional
+            if p.name.removeprefix(f"{self.name}.") in self.optional_parameters
         }
         return defaults | self.by_full_name(self.unused)
 

@@ -50,6 +50,7 @@ SETPOINTS = {
     "command",
     "commanded",
     "target",
+    "action",
     "goal",
     "desired",
     "des",

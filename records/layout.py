@@ -23,8 +23,8 @@ INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
 
 # SI unit of what may be known at each sample
 KNOWN_UNITS = {
-    "rotary": {"torque": "N.m", "inertia": "kg.m2", "inertia_factor": "1"},
-    "linear": {"torque": "N", "inertia": "kg", "inertia_factor": "1"},
+    "rotary": {"torque": "N.m", "inertia": "kg.m2", "inertia_factor": "1", "temperature": "K"},
+    "linear": {"torque": "N", "inertia": "kg", "inertia_factor": "1", "temperature": "K"},
 }
 
 
@@ -88,6 +88,8 @@ class KnownTable(Section):
     """Column of the inertia (or mass) in the place of J."""
     inertia_factor: Column | None = None
     """Column of the factor on J, in the place of `inertia`."""
+    temperature: Column | None = None
+    """Column of the temperature of what rubs, on which friction may depend."""
 
 
 class LayoutTable(Section):
@@ -125,7 +127,8 @@ class Layout:
     differences : bool
         Whether the column of the output holds the differences of a position, as a velocity.
     known : dict of str to Column
-        Columns of what is known at each sample: "torque", "inertia", "inertia_factor".
+        Columns of what is known at each sample: "torque", "inertia", "inertia_factor",
+        "temperature".
     load : Column or None
         A second position, of the load.
     """

@@ -316,6 +316,8 @@ def parameters_of(name: str, fields: Fields) -> dict[str, float]:
     values = {parameter: fields.get(f"{name}_{parameter}", 0.0) for parameter in PARAMETERS[name]}
     if name == "cogging" and values["amplitude2"] == 0:
         del values["amplitude2"], values["phase2"]
+    if name == "load_friction" and values["falling"] == 0:
+        del values["falling"], values["speed"]
     if name == "hard_stop":
         values = {key: value for key, value in values.items() if abs(value) < 1e5}
     return values

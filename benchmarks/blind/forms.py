@@ -35,7 +35,7 @@ PARAMETERS = {  # of the catalogue; a rise too short to see is none
     "electrical_pole": ("time_constant",),
     "backlash": ("share", "play", "stiffness", "dissipation"),
     "compliance": ("share", "stiffness", "damping"),
-    "load_friction": ("coefficient",),
+    "load_friction": ("coefficient", "falling", "speed"),
     "hard_stop": ("stiffness", "upper", "lower"),
     "friction_drift": ("rate",),
     "disturbance_step": ("torque", "onset"),
@@ -45,6 +45,7 @@ PARAMETERS = {  # of the catalogue; a rise too short to see is none
     "asymmetric_viscous": ("coefficient",),
     "gear_loss": ("driving", "driven"),
     "return_spring": ("stiffness", "rest"),
+    "torque_ripple": ("share", "periods", "phase"),
 }
 
 CLASSES = {
@@ -71,6 +72,7 @@ TAKEN = {
     "compliance": None,
     "backlash": None,
     "hard_stop": 1.0,
+    "load_friction": 1.0,
     "stribeck": 1.0,
 }
 
@@ -334,9 +336,24 @@ def compliance(rng: Generator, s: Setting) -> Shape:
 
 
 def load_friction(rng: Generator, s: Setting) -> Shape:
-    """Proportional to the motor torque; other form: a power of it."""
+    """Proportional to the motor torque; other form: a power of it, or with a part that falls with
+    the speed.
+    """
     more = {"load_friction_power": rng.uniform(1.2, 1.6)} if s.other else {}
-    return Shape(lambda m: {"load_friction_coefficient": m, **more}, 0.005, 0.05, 0.45)
+    falling = 0.0
+    if s.other and rng.random() < 0.5:
+        falling, speed = rng.uniform(0.5, 2.0), log_uniform(rng, 0.05, 0.5)
+        more = {"load_friction_kind": 1.0, "load_friction_speed": speed}
+    return Shape(
+        lambda m: {
+            "load_friction_coefficient": m,
+            "load_friction_falling": m * falling,
+            **more,
+        },
+        0.005,
+        0.05,
+        0.3,
+    )
 
 
 def hard_stop(rng: Generator, s: Setting) -> Shape:
@@ -477,6 +494,18 @@ def return_spring(rng: Generator, s: Setting) -> Shape:
     return Shape(lambda m: {**fixed, "return_spring_stiffness": m / (high - low)}, 4e-4, 6e-3, 0.6)
 
 
+def torque_ripple(rng: Generator, s: Setting) -> Shape:
+    """A torque constant that varies with position; other form: with a second harmonic.
+
+    Source: krishnan2010 (torque ripple in proportion to the current).
+    """
+    fixed = {"torque_ripple_periods": float(rng.integers(1, 13)), "torque_ripple_phase": phase(rng)}
+    if s.other:
+        fixed["torque_ripple_second"] = rng.uniform(0.2, 0.35)
+        fixed["torque_ripple_second_phase"] = phase(rng)
+    return Shape(lambda m: {**fixed, "torque_ripple_share": m}, 0.003, 0.04, 0.5)
+
+
 EFFECTS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
@@ -505,6 +534,7 @@ EFFECTS: dict[str, Draw] = {
         asymmetric_viscous,
         gear_loss,
         return_spring,
+        torque_ripple,
     )
 }
 
@@ -552,15 +582,6 @@ def viscous_drift(rng: Generator, s: Setting) -> Shape:
     return Shape(lambda m: {"viscous_drift_rate": side * m}, 5e-4, 5e-3, 0.02 if side < 0 else 0.1)
 
 
-def gain_ripple(rng: Generator, s: Setting) -> Shape:
-    """A torque constant that varies with position.
-
-    Source: krishnan2010 (torque ripple in proportion to the current).
-    """
-    fixed = {"gain_ripple_periods": float(rng.integers(1, 13)), "gain_ripple_phase": phase(rng)}
-    return Shape(lambda m: {**fixed, "gain_ripple_share": m}, 0.003, 0.04, 0.5)
-
-
 def inertia_ripple(rng: Generator, s: Setting) -> Shape:
     """An inertia that varies with position, with the torque that conserves its energy.
 
@@ -592,7 +613,6 @@ OUTSIDE: dict[str, Draw] = {
         gain_compression,
         bouc_wen,
         viscous_drift,
-        gain_ripple,
         inertia_ripple,
         disturbance_burst,
     )

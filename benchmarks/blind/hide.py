@@ -45,7 +45,11 @@ OUTSIDE, CONTROLS, PAIR = (
 )
 STEP = 2.0**-10  # N.m, a 12 bit converter of 2 N.m either way
 # came when the others had their numbers
-LATER = (("encoder_play", "asymmetric_viscous", "gear_loss"), ("return_spring",))
+LATER = (
+    ("encoder_play", "asymmetric_viscous", "gear_loss"),
+    ("return_spring",),
+    ("torque_ripple",),
+)
 CURRENTS = 4  # cases whose input is a current, whatever is hidden in them
 CONSTANTS = (0.0625, 0.125, 0.25)  # N.m/A, powers of two: the steps stay exact
 ABSORBED = (0.8, 1.8)  # back EMF over viscous friction

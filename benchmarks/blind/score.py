@@ -237,6 +237,10 @@ def percentile(share: float) -> Callable[[Sequence[float]], float]:
     return lambda values: float(np.percentile(values, share))
 
 
+# sizes of waves with their phases
+WAVES = (("amplitude", "phase"), ("amplitude2", "phase2"), ("share", "phase"))
+
+
 def _turn(angle: float) -> float:
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
@@ -246,7 +250,7 @@ def normalise(name: str, values: dict[str, float]) -> dict[str, float]:
     phi) is (-A, phi + pi).
     """
     out = dict(values)
-    for amplitude, phase in (("amplitude", "phase"), ("amplitude2", "phase2")):
+    for amplitude, phase in WAVES:
         if amplitude in out and phase in out:
             if out[amplitude] < 0:
                 out[amplitude], out[phase] = -out[amplitude], out[phase] + math.pi
@@ -279,9 +283,7 @@ def _compare(truth: Json, found: Json) -> list[tuple[str, float, bool | None]]:
     """Return (parameter, error, covered) for every true parameter that is reported."""
     reported = {key.split(".")[-1]: entry for key, entry in found["parameters"].items()}
     values = {key: float(entry["value"]) for key, entry in reported.items()}
-    flips = {
-        key: values.get(a, 1.0) < 0 for key, a in (("phase", "amplitude"), ("phase2", "amplitude2"))
-    }
+    flips = {phase: size for size, phase in WAVES if phase in values and values.get(size, 1.0) < 0}
     true, seen = normalise(truth["name"], truth["parameters"]), normalise(truth["name"], values)
     rows = []
     for key, value in true.items():
@@ -290,10 +292,8 @@ def _compare(truth: Json, found: Json) -> list[tuple[str, float, bool | None]]:
         ci = reported[key].get("ci95")
         covered = None
         if ci is not None and None not in ci:
-            flip = flips.get(key, False)
-            shift = math.pi if flip else 0.0
-            mirrored = key.startswith("amplitude") and values[key] < 0
-            ends = [-ci[1], -ci[0]] if mirrored else [ci[0] + shift, ci[1] + shift]
+            shift = math.pi if key in flips else 0.0
+            ends = [-ci[1], -ci[0]] if key in flips.values() else [ci[0] + shift, ci[1] + shift]
             covered = covers(key, value, ends, seen[key])
         rows.append((f"{truth['name']}.{key}", parameter_error(key, value, seen[key]), covered))
     return rows

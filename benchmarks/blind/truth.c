@@ -95,6 +95,9 @@ typedef struct {
 
     double load_friction_coefficient;
     double load_friction_power; /* other: exponent, scaled at 0.4 N.m */
+    double load_friction_kind; /* other: 1 for a part that falls with the speed, with the two below */
+    double load_friction_falling;
+    double load_friction_speed;
 
     double hard_stop_stiffness;
     double hard_stop_upper;
@@ -125,6 +128,12 @@ typedef struct {
     double return_spring_rest;
     double return_spring_stiffening; /* other: 1/rad2 */
 
+    double torque_ripple_share;
+    double torque_ripple_periods;
+    double torque_ripple_phase;
+    double torque_ripple_second; /* other: share of a second harmonic */
+    double torque_ripple_second_phase;
+
     double tone_amplitude; /* outside the catalogue from here on */
     double tone_frequency;
     double tone_phase;
@@ -132,9 +141,6 @@ typedef struct {
     double hysteresis_torque;
     double hysteresis_travel;
     double viscous_drift_rate;
-    double gain_ripple_share;
-    double gain_ripple_periods;
-    double gain_ripple_phase;
     double inertia_ripple_share;
     double inertia_ripple_periods;
     double inertia_ripple_phase;
@@ -243,7 +249,11 @@ static double level(const Plant *p, double theta, double v, double drift, double
             wave += p->position_friction_second * sin(2 * angle + p->position_friction_second_phase);
         factor *= 1 + p->position_friction_amplitude * wave;
     }
-    if (p->load_friction_coefficient > 0) added = p->load_friction_coefficient * carried(motor, p->load_friction_power);
+    if (p->load_friction_coefficient > 0) {
+        double share = p->load_friction_coefficient;
+        if (p->load_friction_kind == 1) share += p->load_friction_falling * exp(-square(v / p->load_friction_speed));
+        added = share * carried(motor, p->load_friction_power);
+    }
     if (p->gear_loss_driving > 0 || p->gear_loss_driven > 0) /* at rest it is about to drive */
         added += (motor * v < 0 ? p->gear_loss_driven : p->gear_loss_driving) * carried(motor, p->gear_loss_power);
     return fmax(p->Fc * factor + added, 1e-5);
@@ -352,8 +362,12 @@ static void advance(const Plant *p, double *x, double t, double asked, double no
             motor = x[LAG];
             if (p->electrical_pole_order == 2) motor = x[LAG2] = x[LAG] + (x[LAG2] - x[LAG]) * keep;
         }
-        if (p->gain_ripple_share != 0)
-            motor *= 1 + p->gain_ripple_share * sin(p->gain_ripple_periods * x[THETA] + p->gain_ripple_phase);
+        if (p->torque_ripple_share != 0) {
+            const double angle = p->torque_ripple_periods * x[THETA];
+            double wave = sin(angle + p->torque_ripple_phase);
+            wave += p->torque_ripple_second * sin(2 * angle + p->torque_ripple_second_phase);
+            motor *= 1 + p->torque_ripple_share * wave;
+        }
         if (p->hysteresis_torque != 0) {
             const double q = x[HYSTERESIS];
             x[HYSTERESIS] += half * x[V] / p->hysteresis_travel * (q * x[V] > 0 ? 1 - fabs(q) : 1);

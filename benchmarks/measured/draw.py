@@ -177,6 +177,10 @@ def odrive(runs: Sequence[Run]) -> Any:
                 angle = p["periods"] * theta
                 cogging = p["amplitude"] * np.sin(angle + p["phase"])
                 cogging += p.get("amplitude2", 0.0) * np.sin(2 * angle + p.get("phase2", 0.0))
+                for n in (3, 4):
+                    sine, cosine = p.get(f"sine{n}", 0.0), p.get(f"cosine{n}", 0.0)
+                    wave = sine * np.sin(n * angle) + cosine * np.cos(n * angle)
+                    cogging += p["amplitude"] * wave
                 label = f"against cogging as named, {p['periods']:.2f} in a turn"
                 ax.plot(DEGREES * theta, 1e3 * (np.mean(middle) - cogging), color=BLUE, label=label)
         ax.margins(y=0.28)

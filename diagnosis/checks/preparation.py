@@ -49,10 +49,7 @@ from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
-from bristle.plant.known import KNOWN
-from bristle.plant.servo import J
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
-from bristle.records.layout import LOAD
 from bristle.records.record import Record
 
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
@@ -94,7 +91,6 @@ def prepared_case(
     model: Model, records: Sequence[Record], notes: tuple[Line, ...], tell: Progress
 ) -> PreparedCase | Diagnosis:
     """Return the model fitted to the records, or a diagnosis where the two seem not to match."""
-    records = [with_known(model, record) for record in records]
     said, dataset = check(model, records), dataset_of(model, records)
     if said.corrections:
         gap = nominal_gap(dataset, *base_servo_of(model, dataset))
@@ -175,7 +171,6 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = 
         )
     resolution, grid = _resolution_of(model, long), Grid(h, width, bins, velocity)
     # the segments, their smoothed motion, and which effects these records can show
-    long = [with_known(model, r) for r in long]
     pieces = tuple(
         cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution).beside(r.known) for r in long
     )
@@ -213,16 +208,6 @@ def _asked(model: Model, over: Stretches, pieces: Sequence[Piece]) -> Array:
     asked = driving_input(tuple(model.effects), model.settings(), over)
     parts = [asked[over.record == k][: len(piece.u)] for k, piece in enumerate(pieces)]
     return np.concatenate(parts)
-
-
-def with_known(model: Model, record: Record) -> Record:
-    """Return a record with what the servo takes: without the position of the load, an inertia as a
-    factor on J.
-    """
-    known = {name: x for name, x in record.known.items() if name != LOAD}
-    if (inertia := known.pop(f"{KNOWN.name}.inertia", None)) is not None:
-        known[f"{KNOWN.name}.inertia_factor"] = inertia / model.parameters[J.name]
-    return replace(record, known=known)
 
 
 def _resolution_of(model: Model, records: Sequence[Record]) -> float:
@@ -277,8 +262,10 @@ def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, Fin
             excluded[e.name] = finding(Reason.LINEAR_AXIS)
         if e.follow and unknown:
             excluded[e.name] = finding(Reason.NO_POSITION)
-        if needs := tuple(need for need in e.needs if need in lacks):
-            excluded[e.name] = finding(Reason.RECORDS_LACK, what=needs)
+        needs = [need for need in e.needs if need in lacks]
+        needs += [f"a column of the {x.name}" for x in e.inputs if x.name not in model.known]
+        if needs:
+            excluded[e.name] = finding(Reason.RECORDS_LACK, what=tuple(needs))
     return excluded
 
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from bristle.common.errors import BristleError
+from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model, must_be_model
+from bristle.plant.effects import effects
+from bristle.plant.known import KNOWN
+from bristle.plant.servo import J
 from bristle.records import intake
 from bristle.records.clock import must_agree
 from bristle.records.intake import RecordArrays, Requirements
@@ -17,6 +22,12 @@ LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments 
 LEAST_DURATION = 2.0  # s, of a record or of a piece of one
 # s: range of the sampling period; outside, the unit of the time is wrong
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1
+# inputs of effects, by what is known
+OF_EFFECTS = {
+    f"{KNOWN.name}.{own.name}": f"{effect.name}.{own.name}"
+    for effect in effects().values()
+    for own in effect.inputs
+}
 NEEDS = Requirements(
     LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PERIOD, identification=True
 )
@@ -81,3 +92,17 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
                 )
     must_agree(records)
     must_show(model, records)
+
+
+def as_inputs(model: Model, records: Sequence[Record]) -> list[Record]:
+    """Return records with what is known as inputs of the servo and of its effects: without the
+    position of the load, an inertia as a factor on J.
+    """
+    return [replace(record, known=_inputs(model, record.known)) for record in records]
+
+
+def _inputs(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+    known = {OF_EFFECTS.get(name, name): x for name, x in given.items() if name != LOAD}
+    if (inertia := known.pop(f"{KNOWN.name}.inertia", None)) is not None:
+        known[f"{KNOWN.name}.inertia_factor"] = inertia / model.parameters[J.name]
+    return known

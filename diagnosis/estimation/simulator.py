@@ -117,7 +117,8 @@ class Simulator:
         known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
         for name in known.keys() & program.index.keys():
             self._v[program.index[name]] = known[name]
-        given = segments.inputs
+        # what only effects that are not there depend on is no input
+        given = {name: x for name, x in segments.inputs.items() if name in program.index}
         self._u, count = given["u"], len(given["u"])
         self._inputs = np.array([given[name] for name in given]).reshape(-1, count)
         self._places = np.array([program.index[name] for name in given], dtype=np.int32)

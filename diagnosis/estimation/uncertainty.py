@@ -178,11 +178,18 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
 
 
 def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bool:
-    """Return whether an effect's strength, or its free play, is known to within this share."""
-    strength = find_effect(name).decisive.name
-    places = [k for k, f in enumerate(fit.free) if f.name == strength]
+    """Return whether an effect's strength, or its free play, is known to within this share.
+
+    Several strengths count as one vector: each of them may be 0 where not all of them are.
+    """
+    places = [k for k, f in enumerate(fit.free) if f.name in find_effect(name).strengths]
     if not places:
         return True
+    if len(places) > 1:
+        size = np.array([fit.values[fit.free[k].name] for k in places])
+        spread = INTERVAL_FACTOR**2 * covariance(fit)[np.ix_(places, places)]
+        return float(size @ np.linalg.pinv(spread, hermitian=True) @ size) > (1.96 / share) ** 2
+    strength = fit.free[places[0]].name
     f, (low, high) = fit.free[places[0]], intervals(fit, problem)[places[0]]
     ends = float(max(low, f.low)), float(min(high, f.high))
     return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(

@@ -16,7 +16,6 @@ from bristle.diagnosis.checks.preparation import (
     base_servo_of,
     dataset_of,
     slides_of,
-    with_known,
 )
 from bristle.diagnosis.estimation.dataset import Dataset, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
@@ -53,7 +52,6 @@ def following_case(
 ) -> PreparedCase:
     """Return a model that follows a setpoint, fitted with the likeliest kind of controller."""
     tell("the controller", 0.0)
-    records = [with_known(model, record) for record in records]
     loops = sorted(_loops(model, records), key=lambda each: each[0])
     near = [each for error, each in loops if error <= NEAREST * loops[0][0]][:MOST_LOOPS]
     found = [_fitted(each, records) for each in near]

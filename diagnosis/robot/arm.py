@@ -12,18 +12,21 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.table import Array
 from bristle.common.toml import Section, first_mistake, mistake, read_toml
 from bristle.diagnosis.checks.records import load_records
 from bristle.diagnosis.modelfile import Model, ModelTable
 from bristle.diagnosis.robot.rigid_body import RigidBodies
+from bristle.diagnosis.sliding.stretches import smooth
 from bristle.plant.known import KNOWN
 from bristle.plant.servo import J
 from bristle.records.layout import InputTable, OutputTable, TimeTable
 from bristle.records.record import Record
 
-# of a joint of which nothing is given: inertia of the rotor over the mean of the arm's, dry
-# friction over the torque that the arm leaves of the input, viscous friction that gives as much
-ROTOR_SHARE, FRICTION_LEFT = 0.1, 0.5
+# of a joint of which nothing is given: what its rotor, its dry and its viscous friction each give
+# of the torque that the arm leaves of the input
+SHARE_LEFT = 0.5
+SMOOTHED = 0.02  # s: half-width of the parabola that gives velocity and acceleration for that
 ARM_BOUND = 100.0  # factor by which they may move
 OWN_ERROR = 0.2  # of the inertia of the bodies: by which a URDF may be wrong
 LEAST_LEFT = 1.05  # of what is taken off J at most: least J
@@ -159,19 +162,20 @@ def _model(arm: Arm, name: str, carried: float = 0.0, records: Sequence[Record] 
     return replace(model, parameters=parameters, bounds=bounds, effects=effects)
 
 
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(x)))) or 1.0
+
+
 def _rough(carried: float, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
     """Return parameters and bounds of a joint of which nothing is known."""
-    friction, speed = 1.0, 1.0
+    torque, speed, acceleration = 1.0, 1.0, 1.0
     if records:
-        left = np.concatenate([r.u - r.known[TORQUE] for r in records])
-        moved = np.concatenate([np.gradient(r.y, r.h) for r in records])
-        friction = float(np.sqrt(np.mean(np.square(left)))) or 1.0
-        speed = float(np.sqrt(np.mean(np.square(moved)))) or 1.0
-    values = {
-        "J": ROTOR_SHARE * (carried or 1.0),
-        "a2": FRICTION_LEFT * friction / speed,
-        "Fc": FRICTION_LEFT * friction,
-    }
+        v, a = (
+            np.concatenate([smooth(r.y, r.h, SMOOTHED, order) for r in records]) for order in (1, 2)
+        )
+        left = np.concatenate([r.u - r.known[TORQUE] for r in records]) - carried * a
+        torque, speed, acceleration = SHARE_LEFT * _rms(left), _rms(v), _rms(a)
+    values = {"J": torque / acceleration, "a2": torque / speed, "Fc": torque}
     short = {key: float(f"{x:.3g}") for key, x in values.items() if math.isfinite(x)}
     bounds = {key: [0.0, ARM_BOUND * x] for key, x in short.items()}
     return {"parameters": short, "bounds": bounds | {"J": [1e-9, ARM_BOUND * short["J"]]}}

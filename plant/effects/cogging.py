@@ -12,14 +12,15 @@ from bristle.plant.effect import Array, Context, Effect, Evidence, Limits, Recor
 
 
 def torque(c: Context) -> ca.SX:
-    """T = A1 sin(N theta + phi1) + A2 sin(2 N theta + phi2).
+    """T = A1 (sin(N theta + phi1) + s3 sin(3 N theta) + c3 cos(3 N theta) + s4 ... + c4 ...) + A2
+    sin(2 N theta + phi2).
 
-    Source: krishnan2010 (cogging torque, first two terms of its Fourier series).
+    Source: krishnan2010 (cogging torque, first four terms of its Fourier series).
     """
-    angle = c.p.periods * c.theta
-    return ca.SX(
-        c.p.amplitude * ca.sin(angle + c.p.phase) + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2)
-    )
+    angle, wave = c.p.periods * c.theta, ca.sin(c.p.periods * c.theta + c.p.phase)
+    for n, (sine, cosine) in {3: (c.p.sine3, c.p.cosine3), 4: (c.p.sine4, c.p.cosine4)}.items():
+        wave += sine * ca.sin(n * angle) + cosine * ca.cos(n * angle)
+    return ca.SX(c.p.amplitude * wave + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2))
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -57,7 +58,7 @@ EFFECT = Effect(
     "krishnan2010",
     title="cogging {torque}",
     group="cogging",
-    equation="T = A1 sin(N theta + phi1) + A2 sin(2 N theta + phi2)",
+    equation="T = A1 (sin(N theta + phi1) + ... + c4 cos(4 N theta)) + A2 sin(2 N theta + phi2)",
     residual=("theta",),
     excitation="a slow pass over many periods",
     confounded=("position_friction", "gravity", "eccentric_encoder"),
@@ -67,8 +68,13 @@ EFFECT = Effect(
         _own("periods", "N", "1", (7.0, 1.0, 1e4), "{periods}"),
         _own("amplitude2", "A2", "N.m", (0.0, -1e6, 1e6), "amplitude of the second term"),
         _own("phase2", "phi2", "rad", (0.0, -10.0, 10.0), "phase of the second term"),
+        _own("sine3", "s3", "1", (0.0, -2.0, 2.0), "share of the third term, sine"),
+        _own("cosine3", "c3", "1", (0.0, -2.0, 2.0), "share of the third term, cosine"),
+        _own("sine4", "s4", "1", (0.0, -2.0, 2.0), "share of the fourth term, sine"),
+        _own("cosine4", "c4", "1", (0.0, -2.0, 2.0), "share of the fourth term, cosine"),
     ),
     second_term=("amplitude2", "phase2"),
+    shape_starts=({"sine3": 0.0, "cosine3": 0.0, "sine4": 0.0, "cosine4": 0.0},),
     torque=torque,
     without_truth=("load",),
     off={"amplitude": 0.0},

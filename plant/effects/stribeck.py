@@ -9,9 +9,6 @@ from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion, power
 from bristle.plant.law import FrictionLaw
 
-LARGEST_SPEED_SHARE = 0.25  # largest Stribeck velocity over the top speed (1)
-COMMON_SPEEDS = 1 - 0.05  # share of the samples whose speed is below the top speed (1)
-
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     """Fc (1 + e exp(-|v/vs|^n)), with e = Fs/Fc - 1.
@@ -32,7 +29,7 @@ def limits(m: RecordedMotion) -> Limits:
     """A curve that has fallen well within the speeds that are seen: otherwise it is a drag by
     another name.
     """
-    return {"speed": (0.0, LARGEST_SPEED_SHARE * float(np.quantile(np.abs(m.v), COMMON_SPEEDS)))}
+    return {"speed": m.slow}
 
 
 def excluded(law: FrictionLaw) -> str:

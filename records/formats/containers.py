@@ -1,4 +1,4 @@
-"""Files that hold arrays: MAT of all versions, HDF5, NPZ, NPY, Parquet, and spreadsheets."""
+"""Files that hold arrays: MAT of all versions, HDF5, NPZ, NPY, and spreadsheets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
-from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, in_seconds, must_fit
+from bristle.common.columns import (
+    LARGEST_CONTENT,
+    Columns,
+    columns_of,
+    must_fit,
+)
 from bristle.common.errors import BristleError
 from bristle.records.formats.rate import rate_in
 from bristle.records.formats.text import read_rows
@@ -193,39 +198,7 @@ def _zip_size(stream: BinaryIO) -> tuple[int, int]:
     return sum(each.file_size for each in files), len(files)
 
 
-# -- Parquet and spreadsheets ----------------------------------------------------------------------
-def read_parquet(path: Path) -> Columns:
-    """Return the columns of numbers and timestamps of a Parquet file."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise BristleError(
-            f"record {path}: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it"
-            " as CSV"
-        ) from None
-
-    with path.open("rb") as stream:
-        file = pq.ParquetFile(stream)
-        schema = file.schema_arrow
-        clocks = [field.name for field in schema if pa.types.is_timestamp(field.type)]
-        numeric = [
-            field.name
-            for field in schema
-            if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-        ]
-        chosen = [*numeric, *clocks]
-        must_fit(path, 8 * file.metadata.num_rows * len(chosen), len(schema))
-        table = file.read(columns=chosen)
-    other = {field.name: f"{field.type} values" for field in schema if field.name not in chosen}
-    columns = {name: table[name].to_numpy().astype(float) for name in numeric}
-    return Columns(
-        columns | {name: in_seconds(table[name].to_numpy()) for name in clocks},
-        other,
-        clocks=clocks,
-    )
-
-
+# -- spreadsheets ---------------------------------------------------------------------------------
 def read_xlsx(path: Path) -> Columns:
     """Return the columns of the first sheet of a workbook that holds a table."""
     from openpyxl import load_workbook

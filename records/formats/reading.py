@@ -13,12 +13,12 @@ from bristle.records.formats.containers import (
     read_mat,
     read_npy,
     read_npz,
-    read_parquet,
     read_xlsx,
 )
 from bristle.records.formats.json_records import read_json, read_json_lines
 from bristle.records.formats.packed import STREAMS, ZIP, is_packed, unpacked
 from bristle.records.formats.padding import without_padding
+from bristle.records.formats.parquet import read_parquet
 from bristle.records.formats.text import read_delimited
 from bristle.records.logs.channels import read_mdf, read_tdms, read_ulog
 from bristle.records.logs.mcap_log import read_mcap

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bristle.common.columns import Columns, must_fit
+from bristle.common.columns import LONGEST_LIST, Columns, must_fit
 from bristle.common.errors import BristleError
 from bristle.records.formats.json_records import flat, from_rows
 
-LONGEST_LIST = 64  # numbers: a longer list of a message is an image or a scan
 # fields that hold the names of the elements of the lists beside them
 LABEL_FIELDS = ("name", "names", "joint_names")
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")

@@ -76,7 +76,7 @@ def test_parameters_are_those_of_the_catalogue() -> None:
         if isinstance(p, Parameter)
     }
     assert {f"{name}.{p}" for name, each in PARAMETERS.items() for p in each} <= known
-    assert set(EFFECTS) == set(PARAMETERS) == set(SHIPPED) - {"back_emf"}
+    assert set(EFFECTS) == set(PARAMETERS) == set(SHIPPED) - {"back_emf", "temperature_friction"}
     assert {f"{name}_{p}" for name, each in PARAMETERS.items() for p in each} <= PLANT_FIELDS
 
 

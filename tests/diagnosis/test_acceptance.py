@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bristle.diagnosis.answer import Assessment
+from bristle.diagnosis.answer import Assessment, Estimate, Named
 from bristle.diagnosis.checks.input_hold import InputShare
 from bristle.diagnosis.checks.preparation import base_servo_of
 from bristle.diagnosis.estimation import uncertainty as intervals
@@ -498,6 +498,8 @@ LEVEL = 20.0  # nats: what chance gives in a search among all effects, about
 FORMS = {
     "compliance": {"hardening": 3000.0},
     "backlash": {"exponent": 1.5},
+    "cogging": {"sine3": 0.5, "cosine3": 0.3, "sine4": -0.3, "cosine4": 0.2},
+    "load_friction": {"coefficient": 0.1, "falling": 0.3, "speed": 0.3},
     "stribeck": {"exponent": 1.0},
     "hard_stop": {"exponent": 2.0},
     "friction_drift": {"rate": 0.2, "settling": 0.5},
@@ -684,6 +686,21 @@ def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(
     assert intervals.strength_is_known(
         SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity", 0.5
     )
+
+
+@pytest.mark.parametrize(("size", "known"), [(0.1, True), (0.001, False)])
+def test_losses_that_may_each_be_nothing_are_known_where_both_are_not(monkeypatch, size, known):
+    """Their errors are opposed: only their sum is known."""
+    free = (Free("J", 0.0, 1.0), Free("gear_loss.driving", 0, 1), Free("gear_loss.driven", 0, 1))
+    fit = SimpleNamespace(free=free, values={f.name: size for f in free})
+    spread = np.array([[1.0, 0.0, 0.0], [0.0, 0.04, -0.0399], [0.0, -0.0399, 0.04]])
+    monkeypatch.setattr(intervals, "covariance", lambda _: spread)
+    assert intervals.strength_is_known(fit, None, "gear_loss", 1.0) is known
+    unsure, sure = Estimate(0.1, "1", (0.0, 0.3)), Estimate(0.1, "1", (0.08, 0.12))
+    losses = [
+        Named("gear_loss", "", {"driving": unsure, "driven": x}, 9.0, 0.1) for x in (unsure, sure)
+    ]
+    assert [each.known_within(1.0) for each in losses] == [False, True]
 
 
 @pytest.mark.parametrize(("ends", "known"), [((0.0, 0.04), False), ((0.019, 0.021), True)])

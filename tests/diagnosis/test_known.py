@@ -9,7 +9,8 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, load_records, records_from_arrays, validate
-from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of, with_known
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
+from bristle.diagnosis.checks.records import as_inputs
 from bristle.diagnosis.estimation.fitted_model import sliding_fit
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.model.native import Native
@@ -122,7 +123,7 @@ def test_columns_are_read_with_their_units_and_an_inertia_becomes_a_factor(tmp_p
     model = Model.from_dict(tree)
     [record] = load_records(model, [tmp_path / "a.csv"])
     np.testing.assert_allclose(record.known["known.torque"], known["torque"], rtol=1e-9)
-    taken = with_known(model, record)
+    [taken] = as_inputs(model, [record])
     np.testing.assert_allclose(
         taken.known["known.inertia_factor"], known["inertia_factor"], rtol=1e-9
     )
@@ -139,7 +140,7 @@ def test_records_without_what_is_known_are_refused():
 def test_the_motion_that_slides_shows_the_joint_and_the_scale_of_what_is_known():
     model = Model.from_dict(deepcopy(TREE))
     records = records_of(model, scale=0.9)
-    dataset = dataset_of(model, [with_known(model, r) for r in records])
+    dataset = dataset_of(model, as_inputs(model, records))
     fit = sliding_fit(dataset, *base_servo_of(model, dataset))
     known = fit.deviations()
     for name, true in (("J", 0.05), ("coulomb.Fc", 0.4), ("known.scale", 0.9)):
@@ -150,7 +151,7 @@ def test_the_motion_that_slides_shows_the_joint_and_the_scale_of_what_is_known()
     del plain["known"]
     other = Model.from_dict(plain)
     parts = [(r.name, r.time, r.u, r.y) for r in records]
-    dataset = dataset_of(other, records_from_arrays(other, parts))
+    dataset = dataset_of(other, as_inputs(other, records_from_arrays(other, parts)))
     wrong = sliding_fit(dataset, *base_servo_of(other, dataset))
     assert abs(wrong.values["coulomb.Fc"] - 0.4) > 0.1
 

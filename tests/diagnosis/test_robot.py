@@ -164,6 +164,16 @@ def test_each_joint_has_what_the_rest_of_the_arm_asks_of_it(arm):
     assert float(np.sqrt(np.mean(left[50:-50] ** 2))) < 0.05
 
 
+def test_a_rotor_may_be_far_more_than_what_its_joint_carries(arm):
+    """Rough values follow from the torque that is left, not from the arm."""
+    path = log(arm.parent / "log.csv", seconds=4.0, rotor=5.0)
+    model, _ = joints_of(load_arm(arm), [path])["elbow"]
+    low, high = model.bounds["J"]
+    carried = M2 * C2**2 + I2
+    assert 0.7 * carried < low < carried
+    assert 1.0 < model.parameters["J"] < 5.0 + carried < high
+
+
 @pytest.mark.long
 def test_all_joints_of_a_log_in_one_command(arm):
     folder = arm.parent

@@ -40,7 +40,15 @@ PUBLIC = {
         "SimulationError",
         "suggest",
     ],
-    "bristle.common.units": ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"],
+    "bristle.common.units": [
+        "Unit",
+        "convert",
+        "interval",
+        "parse_unit",
+        "per_second",
+        "quantity",
+        "zero_of",
+    ],
     "bristle.diagnosis": [
         "BristleError",
         "Diagnosis",

@@ -46,8 +46,15 @@ SETTING = {
     "disturbance_step.onset": 0.1,
     "backlash.play": 0.01,
     "saturation.limit": 2.5,
+    "temperature_friction.temperature": 320.0,
 }
-SCALING = {"asymmetric_coulomb", "stribeck", "friction_drift", "position_friction"}
+SCALING = {
+    "asymmetric_coulomb",
+    "stribeck",
+    "friction_drift",
+    "position_friction",
+    "temperature_friction",
+}
 BRISTLES = {"presliding", "bristle_damping"}
 REFUSED = {(name, "viscous") for name in SCALING | BRISTLES} | {
     (name, "modified_polynomial") for name in ("load_friction", "gear_loss")
@@ -104,7 +111,7 @@ def every(law_name):
 
 def test_what_is_shipped_is_the_catalogue():
     assert set(SHIPPED) <= set(effects())
-    assert len(SHIPPED) == len(set(SHIPPED)) == 26
+    assert len(SHIPPED) == len(set(SHIPPED)) == 28
     assert list(effects()) == sorted(effects())
     assert {name for name in SHIPPED if not effect(name).off} == ALWAYS_ACTING
 
@@ -142,7 +149,8 @@ def test_each_effect_is_declared_in_full(name):
         low, high = e.search_interval.get(p.name.removeprefix(f"{name}."), (p.minimum, p.maximum))
         assert p.minimum <= low < high <= p.maximum
     slots = (e.command, e.drive, e.torque, e.factor, e.bound, e.output, e.coupling, e.bristles)
-    assert sum(slot is not None for slot in slots) == 1
+    # viscous and dry friction fall together
+    assert sum(slot is not None for slot in slots) == 1 + (name == "temperature_friction")
 
 
 @pytest.mark.parametrize("name", ["friction_drift", "position_friction"])
@@ -391,7 +399,7 @@ def test_what_changes_a_parameter_leaves_no_true_value_of_it(name):
     dry = bool(e.factor or e.bound) and name != "stribeck"  # which ends at Fc
     assert ("Fc" in e.without_truth) is (dry or e.coupling is not None)
     assert ("alpha2" in e.without_truth) is (
-        e.coupling is not None or name in ("back_emf", "asymmetric_viscous")
+        e.coupling is not None or name in ("back_emf", "asymmetric_viscous", "temperature_friction")
     )
     assert ("b" in e.without_truth) is (e.coupling is not None or name == "gain_asymmetry")
     # the one is even in the velocity, the other is a load
@@ -443,7 +451,7 @@ def test_sensitivities_equal_central_differences(name):
         "solver.tolerance": 1e-2,
         "solver.friction_step": 2.5e-4,
     } | setting(name)
-    fixed = {k: value for k, value in fixed.items() if k in system.parameters}
+    fixed = {k: value for k, value in fixed.items() if k in {*system.parameters, *system.inputs}}
     value = fixed.get(key, system.parameters[key].default)
     native = Native(program, fixed)
     record, sens = native.run(H, {"u": u}, states, sensitivities=True)
@@ -592,6 +600,11 @@ VISCOUS = {  # name: (parameters, states, rates)
         2,
         simple(lambda t, th, v, u: B * u * (1.2 if u > 0 else 0.8)),
     ),
+    "torque_ripple": (
+        {"torque_ripple.share": 0.3, "torque_ripple.periods": 2.0, "torque_ripple.phase": 0.4},
+        2,
+        simple(lambda t, th, v, u: B * u * (1 + 0.3 * math.sin(2 * th + 0.4))),
+    ),
     "asymmetric_viscous": (
         {"asymmetric_viscous.coefficient": 1.5e-3},
         2,
@@ -621,13 +634,32 @@ VISCOUS = {  # name: (parameters, states, rates)
 
 
 def usual(name, parameters):
-    """Without what bends the form of an effect."""
-    bending = {f"{name}.{short}" for short in effect(name).shape_parameters}
-    assert bending <= set(parameters)
+    """Without what bends the form of an effect, and its further terms."""
+    bending = {f"{name}.{short}" for short in effect(name).optional_parameters}
+    assert bending & set(parameters)
     return {key: value for key, value in parameters.items() if key not in bending}
 
 
 FORMS = {  # name: (parameters with those that bend the form, states, rates)
+    "cogging": (
+        {
+            "cogging.amplitude": 0.004,
+            "cogging.periods": 2.0,
+            "cogging.sine3": 0.3,
+            "cogging.cosine3": 0.4,
+            "cogging.sine4": 0.6,
+            "cogging.cosine4": -0.8,
+        },
+        2,
+        simple(
+            lambda t, th, v, u: (
+                B * u
+                + 0.004 * math.sin(2 * th)
+                + 0.002 * math.sin(6 * th + math.atan2(4, 3))
+                + 0.004 * math.sin(8 * th - math.atan2(4, 3))
+            )
+        ),
+    ),
     "compliance": (
         {"compliance.stiffness": 2.0, "compliance.damping": 0.003, "compliance.hardening": 1500.0},
         4,
@@ -746,6 +778,14 @@ COULOMB = {
 }
 
 DRY_FORMS = {
+    "load_friction": (
+        {
+            "load_friction.coefficient": 0.1,
+            "load_friction.falling": 0.4,
+            "load_friction.speed": 2.0,
+        },
+        dry(lambda t, th, v, u: FC + (0.1 + 0.4 * math.exp(-((v / 2.0) ** 2))) * abs(B * u)),
+    ),
     "stribeck": (
         {"stribeck.excess": 1.5, "stribeck.speed": 2.0, "stribeck.exponent": 1.0},
         dry(lambda t, th, v, u: FC * (1 + 1.5 * math.exp(-abs(v) / 2.0))),

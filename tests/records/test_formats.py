@@ -273,6 +273,35 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
     np.testing.assert_array_equal(read_columns(tmp_path / "r.parquet")["u"], [1.0, np.nan, 3.0])
 
 
+@pytest.mark.parametrize("names", [["hip.pos", "knee.pos"], {"motors": ["hip.pos", "knee.pos"]}])
+def test_the_joints_of_a_lerobot_data_set_are_columns_and_its_episodes_have_gaps(tmp_path, names):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    folder = tmp_path / "data" / "chunk-000"
+    folder.mkdir(parents=True)
+    (tmp_path / "meta").mkdir()
+    info = {"features": {"action": {"names": names}, "timestamp": {"names": None}}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
+    table = {
+        "action": [[0.1, 0.2], [0.3, 0.4], None, [0.7, 0.8]],
+        "observation.state": [[1.0], [2.0], [3.0], [4.0]],
+        "timestamp": [0.0, 0.1, 0.0, 0.1],
+        "episode_index": [0, 0, 1, 1],
+        "observation.image": [[0.0] * 100] * 4,
+    }
+    pq.write_table(pa.table(table), folder / "file-000.parquet")
+    columns = read_columns(folder / "file-000.parquet")
+    np.testing.assert_array_equal(columns["action.knee.pos"], [0.2, 0.4, np.nan, 0.8])
+    np.testing.assert_array_equal(columns["observation.state[0]"], [1.0, 2.0, 3.0, 4.0])
+    assert "observation.image" in columns.unusable
+    assert np.diff(columns["timestamp"]) == pytest.approx([0.1, 100.0, 0.1])
+    assert "2 episodes" in columns.findings[0]
+    # without the description of the data set, elements have numbers
+    (tmp_path / "meta" / "info.json").write_text("[")
+    assert "action[1]" in read_columns(folder / "file-000.parquet")
+
+
 def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path, monkeypatch, message):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "r.parquet").touch()
