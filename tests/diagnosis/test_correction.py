@@ -154,6 +154,7 @@ def test_these_effects_can_act_through_the_input():
         "gain_asymmetry",
         "input_delay",
         "saturation",
+        "torque_ripple",
     }
     torques = {
         "asymmetric_viscous",

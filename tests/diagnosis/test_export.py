@@ -194,6 +194,10 @@ def test_what_a_fit_leaves_out_keeps_its_default(answer):
         "periods": 7.0,
         "amplitude2": 0.0,
         "phase2": 0.0,
+        "sine3": 0.0,
+        "cosine3": 0.0,
+        "sine4": 0.0,
+        "cosine4": 0.0,
     }
 
 
