@@ -7,8 +7,10 @@ is simulated: a loop follows its goal whatever its gains are, so that no start i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from bristle.diagnosis.answer import Line, Progress, Reason, finding
 from bristle.diagnosis.checks.preparation import (
@@ -27,6 +29,7 @@ from bristle.diagnosis.following.controller import (
     price,
 )
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.screen import GROSS_GAIN
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.validation.long_simulation import (
     Records,
@@ -35,10 +38,12 @@ from bristle.diagnosis.validation.long_simulation import (
     with_fitted_starts,
 )
 from bristle.plant.controller import CONTROLLER
+from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import A2, J
 from bristle.records.record import Record
 
 START_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
+GRAVITY = "gravity"  # the torque without which a loop may be far off
 START_DAMPING = 0.8  # of these loops
 ACTIONS = ((), ("kd",), ("ki",), ("kd", "ki"))  # parts of a controller beside kp
 NEAREST = 1.2  # of the least error over whole records: kinds with a larger one are left
@@ -52,10 +57,13 @@ def following_case(
 ) -> PreparedCase:
     """Return a model that follows a setpoint, fitted with the likeliest kind of controller."""
     tell("the controller", 0.0)
-    loops = sorted(_loops(model, records), key=lambda each: each[0])
+    loops = _loops(model, records)
     near = [each for error, each in loops if error <= NEAREST * loops[0][0]][:MOST_LOOPS]
     found = [_fitted(each, records) for each in near]
     likeliest, dataset, base = max(found, key=_likelihood)
+    if GRAVITY in set(likeliest.effects) - set(model.effects):
+        # the search is to find it, from what was found beside it
+        likeliest, dataset, base = _fitted(_without_weight(likeliest), records)
     kp = (likeliest.controller or {})["kp"]
     said = finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
     return PreparedCase(likeliest, records, dataset, base, notes, (said,))
@@ -68,27 +76,20 @@ def _fitted(model: Model, records: Sequence[Record]) -> Case:
 
 def _likelihood(case: Case) -> float:
     model, _, fitted = case
-    return fitted.fit.total - price(model.controller or ())
+    weight = GROSS_GAIN if GRAVITY in model.effects else 0.0
+    return fitted.fit.total - price(model.controller or ()) - weight
 
 
-def _loops(model: Model, records: Sequence[Record]) -> Iterator[tuple[float, Model]]:
+def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]:
     """Give models with a controller of each kind and the error of each over whole records: the
-    controllers that the sliding motion shows, the nearest of some loops, and that with a limit.
+    controllers that the sliding motion shows, the nearest of some loops, and that with a limit; the
+    loops also with a weight that they carry, which a model far from it would make up for.
     """
-    known, loops = model.controller or {}, _Loops.of(dataset_of(model, records), records)
-    starts = controllers(model, slides_of(model, records))
-    for parts in ACTIONS:
-        if not set(parts) & set(known):
-            tries = [_loop(model, parts, frequency) for frequency in START_FREQUENCIES]
-            starts.append(min(tries, key=loops.error))
-    best = math.inf, model
-    for start in starts:
-        found = loops.refitted(start)
-        best = min(best, found, key=lambda each: each[0])
-        yield found
-    if "limit" not in known:
-        for limited in _limited(best[1], loops.dataset.stretches):
-            yield loops.refitted(limited)
+    loops = _Loops.of(dataset_of(model, records), records)
+    found = loops.of_all_kinds(model, {}, controllers(model, slides_of(model, records)))
+    if not (model.linear or GRAVITY in model.effects):
+        found += loops.of_all_kinds(model, _weight(records))
+    return sorted(found, key=_error)
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,24 @@ class _Loops:
     def of(cls, dataset: Dataset, records: Sequence[Record]) -> _Loops:
         own = Records.of(dataset, records, dataset.segments.times)
         return cls(dataset, own.stretches(own.seconds), own.least)
+
+    def of_all_kinds(
+        self, model: Model, weight: Mapping[str, float], starts: Sequence[Model] = ()
+    ) -> list[tuple[float, Model]]:
+        """Return the refitted starts and a model with the nearest loop of each kind, also with a
+        limit of its torque, with the error of each. `weight` as of `_loop`.
+        """
+        known, kinds = model.controller or {}, [*starts]
+        for parts in ACTIONS:
+            if not set(parts) & set(known):
+                tries = [_loop(model, parts, f, weight) for f in START_FREQUENCIES]
+                kinds.append(min(tries, key=self.error))
+        found = [self.refitted(each) for each in kinds]
+        if "limit" not in known:
+            nearest = min(found, key=_error)[1]
+            limited = _limited(nearest, self.dataset.stretches)
+            found += [self.refitted(each) for each in limited]
+        return found
 
     def error(self, model: Model) -> float:
         """Return the rms error of a model [unit of the output]; infinite where its simulation
@@ -121,11 +140,37 @@ class _Loops:
         controller = {key: float(own[f"{CONTROLLER.name}.{key}"]) for key in model.controller or ()}
         parameters = {key: float(own.get(key, x)) for key, x in model.parameters.items()}
         effects = {**model.effects, CONTROLLER.name: controller}
+        if GRAVITY in effects:
+            effects[GRAVITY] = {key: own[f"{GRAVITY}.{key}"] for key in effects[GRAVITY]}
         return fitted_error(fit), replace(model, parameters=parameters, effects=effects)
 
 
-def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
-    """Return a model with a controller of these parts, and a loop of about this frequency."""
+def _error(found: tuple[float, Model]) -> float:
+    return found[0]
+
+
+def _weight(records: Sequence[Record]) -> dict[str, float]:
+    """Return start values of gravity over kp, from what is left between goal and position."""
+    y = np.concatenate([r.y for r in records])
+    left = np.concatenate([r.u for r in records]) - y
+    ahead = np.concatenate([np.sign(np.gradient(r.y)) for r in records])
+    columns = np.column_stack([np.sin(y), np.cos(y), ahead, np.ones(len(y))])
+    (sine, cosine, *_), *_ = np.linalg.lstsq(columns, left, rcond=None)
+    defaults = find_effect(GRAVITY).inactive_values.items()
+    shape = {name.partition(".")[2]: value for name, value in defaults}
+    return {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), **shape}
+
+
+def _without_weight(model: Model) -> Model:
+    return replace(model, effects={k: x for k, x in model.effects.items() if k != GRAVITY})
+
+
+def _loop(
+    model: Model, parts: Sequence[str], frequency: float, weight: Mapping[str, float]
+) -> Model:
+    """Return a model with a controller of these parts, and a loop of about this frequency, which
+    carries a weight: parameters of gravity, its amplitude over kp; empty for none.
+    """
     inertia, omega = model.parameters[J.name], 2 * math.pi * frequency
     known = model.controller or {}
     kp = known.get("kp", inertia * omega**2)
@@ -139,8 +184,10 @@ def _loop(model: Model, parts: Sequence[str], frequency: float) -> Model:
         parameters[A2.name] = min(max(damping, low), high)
     if "ki" in parts:
         own |= {"ki": START_INTEGRAL * kp, "integral": 0.0}
-    controller = {CONTROLLER.name: own | known}
-    return replace(model, parameters=parameters, effects={**model.effects, **controller})
+    effects = {**model.effects, CONTROLLER.name: own | known}
+    if weight:
+        effects[GRAVITY] = {**weight, "amplitude": kp * weight["amplitude"]}
+    return replace(model, parameters=parameters, effects=effects)
 
 
 def _limited(model: Model, over: Stretches) -> Iterator[Model]:

@@ -198,6 +198,23 @@ def test_cogging_is_named_through_the_loop_and_ratios_are_right():
     assert any("only their ratios are known" in line for line in content["findings"])
 
 
+@pytest.mark.long
+def test_a_weight_that_outweighs_friction_is_named_through_the_loop():
+    """Without it no loop comes near the records: they are looked for together."""
+    model, records = records_of(
+        {"kp": 4.0}, h=5e-3, extra=lambda theta: -2.5 * math.sin(theta + 0.3)
+    )
+    content = diagnose(model, records).to_dict()
+    assert [each["name"] for each in content["effects"]] == ["gravity"]
+    kp = content["parameters"]["controller.kp"]["value"]
+    found = content["effects"][0]["parameters"]
+    assert found["amplitude"]["value"] / kp == pytest.approx(2.5 / 4.0, rel=0.01)
+    assert found["phase"]["value"] == pytest.approx(0.3, abs=0.01)
+    for name in ("J", "coulomb.Fc"):
+        true = TRUE[name.rpartition(".")[2]] / 4.0
+        assert content["parameters"][name]["value"] / kp == pytest.approx(true, rel=0.03)
+
+
 # -- the proposal ----------------------------------------------------------------------------------
 def test_goal_and_position_alone_are_proposed_as_a_setpoint(tmp_path):
     _, records = records_of({"kp": 6.0}, seconds=8.0)

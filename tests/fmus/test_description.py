@@ -163,7 +163,7 @@ def test_the_binary_starts_with_the_values_of_the_description(built, Raw, fmi, c
 def test_units_are_defined_by_their_si_factors(built):
     for unit in built("plant").description.unitDefinitions:
         parsed = parse_unit(unit.name)
-        got = [int(getattr(unit.baseUnit, base) or 0) for base in ("kg", "m", "s", "A", "rad")]
+        got = [int(getattr(unit.baseUnit, base) or 0) for base in ("kg", "m", "s", "A", "K", "rad")]
         assert got == list(parsed.exponents), unit.name
         assert float(unit.baseUnit.factor or 1.0) == parsed.factor
 

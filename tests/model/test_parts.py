@@ -76,7 +76,7 @@ def test_units_convert_back(unit):
 
 
 def test_dimensions_of_derived_units():
-    assert parse_unit("N.m.s/rad").exponents == (1, 2, -1, 0, -1)
+    assert parse_unit("N.m.s/rad").exponents == (1, 2, -1, 0, 0, -1)
     assert parse_unit("V").exponents == parse_unit("N.m/A.s").exponents
 
 
