@@ -72,7 +72,24 @@ def model_text(proposal: Proposal, command: str) -> str:
         lines += [_sensor_line(proposal)] if role == "output" else []
         for other in proposal.others[role]:
             lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
+    lines += _load_lines(proposal)
     return "\n".join(lines) + "\n"
+
+
+def _load_lines(proposal: Proposal) -> list[str]:
+    """Return how a second position would be given, as comments, where there is another one."""
+    positions = [each for each in proposal.others["output"] if each.kind == "position"]
+    if not positions or proposal.output.kind != "position":
+        return []
+    column = positions[0].column
+    return [
+        "",
+        "# if both are positions of one axis, the motor's above and the load's here:",
+        "# [output.load]            # play and compliance between them are then seen directly",
+        f"# column = {quoted(column.column)}",
+        f"# unit = {quoted(column.unit)}",
+        *([] if column.scale is None else [f"# scale = {quoted(column.scale)}"]),
+    ]
 
 
 def _parameter_lines(proposal: Proposal) -> list[str]:

@@ -54,6 +54,20 @@ def plain(folder, header="t,u,theta", change=lambda t, u, y: (t, u, y)):
     return folder / "run.csv"
 
 
+def test_a_second_position_is_offered_as_that_of_the_load(tmp_path):
+    def change(t, u, y):
+        return t, u, y, y + 0.01 * np.sign(np.gradient(y))
+
+    path = plain(tmp_path, "t [s],torque [N.m],motor angle [rad],load angle [rad]", change)
+    text = model_text(propose([path]), "bristle init")
+    before, offer = text.split("# [output.load]")
+    written = "[output.load]" + offer.replace("\n# ", "\n")
+    (tmp_path / "model.toml").write_text(before + written)
+    model = load_model(tmp_path / "model.toml")
+    assert {model.output.column, model.load.column} == {"motor angle [rad]", "load angle [rad]"}
+    assert "[output.load]" not in model_text(propose([plain(tmp_path)]), "bristle init")
+
+
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(STYLES))
 def test_a_pair_of_log_files_gives_a_model_that_reads_them(name, pairs, tmp_path):
