@@ -30,6 +30,7 @@ _UNIT_WORDS = {
     "mV": "millivolt millivolts",
     "A": "amp amps ampere amperes",
     "mA": "milliamp milliamps",
+    "degC": "°c celsius",
     "N": "newton newtons",
     "N.m": "newtonmeter newtonmetre newton-meter newton-metre n-m",
     "%": "percent prozent pct",

@@ -31,6 +31,8 @@ from bristle.records.sensor import (
 
 # SI: no rig gives a smaller or larger value, and the square of one is not finite
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30
+TEMPERATURE = "known.temperature"
+COLDEST, HOTTEST = 150.0, 500.0  # K: of a servo that works, by far
 BRIDGED_SAMPLES = 5  # samples: most that are not finite in a row and are interpolated over
 BRIDGED_SHARE = 0.02  # of the samples: most that are not finite and are interpolated over
 WRAP_SHARE = 0.5  # of the range: a larger change across samples that are not finite is a wrap
@@ -395,6 +397,11 @@ def _must_be_possible(layout: Layout, raw: Raw) -> None:
         if most > LARGEST_VALUE or 0.0 < most < SMALLEST_VALUE:
             allowed = f"allowed {SMALLEST_VALUE:g} to {LARGEST_VALUE:g}; check its column and unit"
             raise raw.error(f"{key} reaches {most:.3g} {units[key]}, {allowed}")
+        if key == TEMPERATURE and not COLDEST < np.min(values) <= np.max(values) < HOTTEST:
+            seen = f"{key} is {np.min(values):.4g} to {np.max(values):.4g} K"
+            raise raw.error(
+                f"{seen}, allowed {COLDEST:g} to {HOTTEST:g}; check its unit, K or degC"
+            )
 
 
 def _too_short(raw: Raw, needs: Requirements) -> BristleError:

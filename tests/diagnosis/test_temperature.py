@@ -76,6 +76,15 @@ def test_readings_in_degrees_are_kelvin_inside_and_the_file_reads_back(tmp_path)
     assert Model.from_dict(tomllib.loads(model_text(model))).known == model.known
 
 
+def test_kelvin_that_are_called_degrees_are_one_line(tmp_path):
+    model = Model.from_dict(deepcopy(TREE))
+    table = warming(1, 293.15, 0.0)
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,u,y,T", comments="")
+    with pytest.raises(BristleError, match=r"known\.temperature is 566.* check its unit") as error:
+        load_records(model, [tmp_path / "a.csv"])
+    assert "\n" not in str(error.value)
+
+
 def test_friction_by_temperature_needs_its_column():
     tree = deepcopy(TREE) | {"effects": {"temperature_friction": {"viscous_fall": 0.02}}}
     assert Model.from_dict(tree).effects["temperature_friction"] == {
