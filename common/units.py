@@ -111,7 +111,7 @@ def convert(value: float, unit: str, si_unit: str) -> float:
     have, want = parse_unit(unit), parse_unit(si_unit)
     if have.exponents != want.exponents:
         raise BristleError(f"unit '{unit}' does not fit: a unit like '{si_unit}' is needed")
-    return value * (have.factor / want.factor)
+    return value * (have.factor / want.factor) + zero_of(unit, si_unit)
 
 
 def zero_of(unit: str, si_unit: str) -> float:

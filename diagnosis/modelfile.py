@@ -17,7 +17,7 @@ from bristle.common.units import interval, parse_unit, quantity
 from bristle.model.variables import Parameter
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.effect import Effect
-from bristle.plant.effects import BESIDE
+from bristle.plant.effects import BESIDE, owners_of_inputs
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
@@ -343,8 +343,8 @@ def _with_known(
     a column.
     """
     found = dict(effects)
-    of_effects = {own.name: e.name for e in all_effects().values() for own in e.inputs}
-    acting = {of_effects.get(key, KNOWN.name) for key in file.layout.known}
+    owners = owners_of_inputs()
+    acting = {owners.get(key, KNOWN.name) for key in file.layout.known}
     if KNOWN.name in acting:
         found[KNOWN.name] = {"scale": 1.0, **found.get(KNOWN.name, {})}
     for name in found:

@@ -110,9 +110,9 @@ def extension(name: str) -> Extension:
     raise `BristleError` for an unknown one.
     """
     known = {**effects(packages=False), **SIGNAL_EFFECTS}
-    if name in known or name in BESIDE:
-        return {**known, **BESIDE}[name]
-    if name in offered("effects"):
+    if name in known:
+        return known[name]
+    if name in BESIDE or name in offered("effects"):
         return effect(name)
     names = [*known, *offered("effects")]
     raise BristleError(f"unknown effect '{name}'{suggest(name, names)}; known: {', '.join(names)}")

@@ -106,9 +106,8 @@ def prepared_case(
     return _in_shorter_segments(case)
 
 
-def slides_of(model: Model, records: Sequence[Record]) -> Callable[[Model], SlidingFit | None]:
-    """Return what fits models like one to where the records slide."""
-    dataset = dataset_of(model, records)
+def slides_of(dataset: Dataset) -> Callable[[Model], SlidingFit | None]:
+    """Return what fits models to where records slide."""
     return lambda tried: sliding_fit(dataset, *base_servo_of(tried, dataset))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model, must_be_model
-from bristle.plant.effects import effects
+from bristle.plant.effects import owners_of_inputs
 from bristle.plant.known import KNOWN
 from bristle.plant.servo import J
 from bristle.records import intake
@@ -22,12 +22,6 @@ LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments 
 LEAST_DURATION = 2.0  # s, of a record or of a piece of one
 # s: range of the sampling period; outside, the unit of the time is wrong
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1
-# inputs of effects, by what is known
-OF_EFFECTS = {
-    f"{KNOWN.name}.{own.name}": f"{effect.name}.{own.name}"
-    for effect in effects().values()
-    for own in effect.inputs
-}
 NEEDS = Requirements(
     LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PERIOD, identification=True
 )
@@ -102,7 +96,10 @@ def as_inputs(model: Model, records: Sequence[Record]) -> list[Record]:
 
 
 def _inputs(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
-    known = {OF_EFFECTS.get(name, name): x for name, x in given.items() if name != LOAD}
+    known = {name: x for name, x in given.items() if name != LOAD}
+    for own, effect in owners_of_inputs().items():
+        if (values := known.pop(f"{KNOWN.name}.{own}", None)) is not None:
+            known[f"{effect}.{own}"] = values
     if (inertia := known.pop(f"{KNOWN.name}.inertia", None)) is not None:
         known[f"{KNOWN.name}.inertia_factor"] = inertia / model.parameters[J.name]
     return known

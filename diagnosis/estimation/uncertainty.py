@@ -182,19 +182,17 @@ def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bo
 
     Several strengths count as one vector: each of them may be 0 where not all of them are.
     """
-    places = [k for k, f in enumerate(fit.free) if f.name in find_effect(name).strengths]
+    strengths = find_effect(name).strengths
+    places = [k for k, f in enumerate(fit.free) if f.name in strengths]
     if not places:
         return True
     if len(places) > 1:
         size = np.array([fit.values[fit.free[k].name] for k in places])
         spread = INTERVAL_FACTOR**2 * covariance(fit)[np.ix_(places, places)]
         return float(size @ np.linalg.pinv(spread, hermitian=True) @ size) > (1.96 / share) ** 2
-    strength = fit.free[places[0]].name
     f, (low, high) = fit.free[places[0]], intervals(fit, problem)[places[0]]
-    ends = float(max(low, f.low)), float(min(high, f.high))
-    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(
-        share
-    )
+    ends, value = (float(max(low, f.low)), float(min(high, f.high))), fit.values[f.name]
+    return Estimate(value, "", ends, f.at_bound(value)).known_within(share)
 
 
 def _has_edges(parameter: str) -> bool:

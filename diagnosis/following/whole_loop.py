@@ -85,8 +85,9 @@ def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]
     controllers that the sliding motion shows, the nearest of some loops, and that with a limit; the
     loops also with a weight that they carry, which a model far from it would make up for.
     """
-    loops = _Loops.of(dataset_of(model, records), records)
-    found = loops.of_all_kinds(model, {}, controllers(model, slides_of(model, records)))
+    dataset = dataset_of(model, records)
+    loops = _Loops.of(dataset, records)
+    found = loops.of_all_kinds(model, {}, controllers(model, slides_of(dataset)))
     if not (model.linear or GRAVITY in model.effects):
         found += loops.of_all_kinds(model, _weight(records))
     return sorted(found, key=_error)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.answer import Finding, Reason, Rough, finding
-from bristle.diagnosis.checks.preparation import slides_of
+from bristle.diagnosis.checks.preparation import dataset_of, slides_of
 from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.controller import CONTROLLER
@@ -36,7 +36,7 @@ def relative_to_inertia(
         effects={CONTROLLER.name: {}},
         **vars(layout),
     )
-    slides = slides_of(blank, records)
+    slides = slides_of(dataset_of(blank, records))
     [known, *_] = controllers(blank, slides)
     fit = slides(known)
     if fit is None or known.controller is None:

@@ -19,7 +19,7 @@ from bristle.plant.controller import CONTROLLER
 from bristle.plant.friction import law
 from bristle.plant.servo import A2, B, J
 from bristle.records.choice import Candidate
-from bristle.records.layout import INPUT_UNITS, SETPOINT
+from bristle.records.layout import INPUT_UNITS, SETPOINT, Column
 
 # of the controller's parameters that are proposed, what they are
 CONTROLLER_WORDS = {
@@ -81,14 +81,11 @@ def _load_lines(proposal: Proposal) -> list[str]:
     positions = [each for each in proposal.others["output"] if each.kind == "position"]
     if not positions or proposal.output.kind != "position":
         return []
-    column = positions[0].column
     return [
         "",
         "# if both are positions of one axis, the motor's above and the load's here:",
         "# [output.load]            # play and compliance between them are then seen directly",
-        f"# column = {quoted(column.column)}",
-        f"# unit = {quoted(column.unit)}",
-        *([] if column.scale is None else [f"# scale = {quoted(column.scale)}"]),
+        *(f"# {line}" for line in _column_lines(positions[0].column)),
     ]
 
 
@@ -174,10 +171,7 @@ def _with(line: str, comment: str) -> str:
 def _declaration(candidate: Candidate) -> list[str]:
     if candidate.rate:
         return [f'rate = "{candidate.rate!r} Hz"']
-    column = candidate.column
-    lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
-    if column.scale is not None:
-        lines.append(_with(f"scale = {quoted(column.scale)}", "what one of the unit is worth"))
+    lines = _column_lines(candidate.column)
     others = (
         "torque, force, voltage, current or setpoint"
         if candidate.kind in (*INPUT_UNITS, SETPOINT)
@@ -188,6 +182,13 @@ def _declaration(candidate: Candidate) -> list[str]:
         if candidate.kind == "time"
         else [*lines, _with(f"kind = {quoted(candidate.kind)}", others)]
     )
+
+
+def _column_lines(column: Column) -> list[str]:
+    lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
+    if column.scale is None:
+        return lines
+    return [*lines, _with(f"scale = {quoted(column.scale)}", "what one of the unit is worth")]
 
 
 def summary(proposal: Proposal) -> list[str]:

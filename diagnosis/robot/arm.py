@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.table import Array
+from bristle.common.metrics import rms
 from bristle.common.toml import Section, first_mistake, mistake, read_toml
 from bristle.diagnosis.checks.records import load_records
 from bristle.diagnosis.modelfile import Model, ModelTable
@@ -162,10 +162,6 @@ def _model(arm: Arm, name: str, carried: float = 0.0, records: Sequence[Record] 
     return replace(model, parameters=parameters, bounds=bounds, effects=effects)
 
 
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(x)))) or 1.0
-
-
 def _rough(carried: float, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
     """Return parameters and bounds of a joint of which nothing is known."""
     torque, speed, acceleration = 1.0, 1.0, 1.0
@@ -174,7 +170,7 @@ def _rough(carried: float, records: Sequence[Record]) -> dict[str, dict[str, Any
             np.concatenate([smooth(r.y, r.h, SMOOTHED, order) for r in records]) for order in (1, 2)
         )
         left = np.concatenate([r.u - r.known[TORQUE] for r in records]) - carried * a
-        torque, speed, acceleration = SHARE_LEFT * _rms(left), _rms(v), _rms(a)
+        torque, speed, acceleration = (rms(x) or 1.0 for x in (SHARE_LEFT * left, v, a))
     values = {"J": torque / acceleration, "a2": torque / speed, "Fc": torque}
     short = {key: float(f"{x:.3g}") for key, x in values.items() if math.isfinite(x)}
     bounds = {key: [0.0, ARM_BOUND * x] for key, x in short.items()}

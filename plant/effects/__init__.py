@@ -22,7 +22,7 @@ from bristle.plant.known import KNOWN
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import ROTARY, Wording
 
-__all__ = ["BESIDE", "effect", "effects", "separation"]
+__all__ = ["BESIDE", "effect", "effects", "owners_of_inputs", "separation"]
 
 BESIDE = {
     **UNNAMED_TORQUES,
@@ -117,6 +117,13 @@ def _packaged(name: str, wording: Wording) -> Effect:
             f"unknown effect '{name}'{suggest(name, known)}; known: {', '.join(known)}"
         )
     return packaged_declaration("effects", name, "EFFECT", Effect, own, _check).worded(wording)
+
+
+def owners_of_inputs() -> dict[str, str]:
+    """Return the effect that each known quantity is an input of, by what a file calls it; those of
+    `KNOWN` are not among them.
+    """
+    return {own.name: each.name for each in effects().values() for own in each.inputs}
 
 
 def separation(names: Collection[str], wording: Wording = ROTARY) -> str:

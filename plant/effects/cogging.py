@@ -17,7 +17,8 @@ def torque(c: Context) -> ca.SX:
 
     Source: krishnan2010 (cogging torque, first four terms of its Fourier series).
     """
-    angle, wave = c.p.periods * c.theta, ca.sin(c.p.periods * c.theta + c.p.phase)
+    angle = c.p.periods * c.theta
+    wave = ca.sin(angle + c.p.phase)
     for n, (sine, cosine) in {3: (c.p.sine3, c.p.cosine3), 4: (c.p.sine4, c.p.cosine4)}.items():
         wave += sine * ca.sin(n * angle) + cosine * ca.cos(n * angle)
     return ca.SX(c.p.amplitude * wave + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2))

@@ -12,12 +12,7 @@ from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
-from bristle.common.columns import (
-    LARGEST_CONTENT,
-    Columns,
-    columns_of,
-    must_fit,
-)
+from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, must_fit
 from bristle.common.errors import BristleError
 from bristle.records.formats.rate import rate_in
 from bristle.records.formats.text import read_rows

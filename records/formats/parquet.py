@@ -25,31 +25,19 @@ def read_parquet(path: Path) -> Columns:
     """
     try:
         import pyarrow.parquet as pq
-        import pyarrow.types as kinds
     except ImportError:
         raise BristleError(
             f"record {path}: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it"
             " as CSV"
         ) from None
 
-    def number(kind: Any) -> bool:
-        return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
-
-    def numbers(kind: Any) -> bool:
-        return bool(kinds.is_list(kind) or kinds.is_fixed_size_list(kind)) and number(
-            kind.value_type
-        )
-
     with path.open("rb") as stream:
         file = pq.ParquetFile(stream)
         types = {field.name: field.type for field in file.schema_arrow}
-        clocks = [name for name, kind in types.items() if kinds.is_timestamp(kind)]
-        numeric = [name for name, kind in types.items() if number(kind)]
-        lists = [name for name, kind in types.items() if numbers(kind)]
-        chosen = [*numeric, *clocks, *lists]
-        must_fit(path, 8 * file.metadata.num_rows * len(chosen), len(types))
-        table = file.read(columns=chosen)
-    other = {name: f"{kind} values" for name, kind in types.items() if name not in chosen}
+        numeric, clocks, lists, content = _readable(types, file.metadata)
+        must_fit(path, 8 * content, len(types))
+        table = file.read(columns=[*numeric, *clocks, *lists])
+    other = {name: f"{types[name]} values" for name in types if name not in table.column_names}
     columns = {name: table[name].to_numpy().astype(float) for name in numeric}
     columns |= {name: in_seconds(table[name].to_numpy()) for name in clocks}
     labels = _labels(path)
@@ -60,9 +48,52 @@ def read_parquet(path: Path) -> Columns:
     return Columns(columns, other, clocks=clocks, findings=_set_apart(columns))
 
 
+def _readable(
+    types: Mapping[str, Any], metadata: Any
+) -> tuple[list[str], list[str], list[str], int]:
+    """Return the columns of numbers, of timestamps and of short lists, and how many numbers they
+    hold.
+    """
+    from pyarrow.types import is_timestamp
+
+    rows, counts = metadata.num_rows, _counts(metadata)
+    numeric = [name for name, kind in types.items() if _is_number(kind)]
+    clocks = [name for name, kind in types.items() if is_timestamp(kind)]
+    held = {name: counts.get(name, 0) for name, kind in types.items() if _is_list(kind)}
+    short = {name: count for name, count in held.items() if count <= LONGEST_LIST * rows}
+    content = rows * (len(numeric) + len(clocks)) + sum(short.values())
+    return numeric, clocks, [*short], content
+
+
+def _is_number(kind: Any) -> bool:
+    from pyarrow import types as kinds
+
+    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
+
+
+def _is_list(kind: Any) -> bool:
+    """Return whether values are lists of numbers."""
+    from pyarrow import types as kinds
+
+    return bool(kinds.is_list(kind) or kinds.is_fixed_size_list(kind)) and _is_number(
+        kind.value_type
+    )
+
+
+def _counts(metadata: Any) -> dict[str, int]:
+    """Return how many numbers each column holds, before any is read."""
+    counts: dict[str, int] = {}
+    for group in range(metadata.num_row_groups):
+        for k in range(metadata.num_columns):
+            column = metadata.row_group(group).column(k)
+            name = column.path_in_schema.split(".list.")[0]
+            counts[name] = counts.get(name, 0) + column.num_values
+    return counts
+
+
 def _elements(name: str, rows: list[list[float] | None], labels: list[str]) -> dict[str, Array]:
-    """Return the elements of lists of one length as columns, by their labels or numbers; none of
-    long lists.
+    """Return the elements of lists as columns, by their labels or numbers; none where they differ
+    in length, or are long.
     """
     width = max((len(row) for row in rows if row), default=0)
     if not 0 < width <= LONGEST_LIST or any(row and len(row) != width for row in rows):

@@ -9,7 +9,7 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, records_from_arrays, validate
-from bristle.diagnosis.checks.preparation import slides_of
+from bristle.diagnosis.checks.preparation import dataset_of, slides_of
 from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
@@ -153,7 +153,7 @@ def test_a_controller_that_is_not_known_is_not_validated():
 )
 def test_its_structure_and_its_gains_are_found(gains):
     model, records = records_of(gains)
-    found = controllers(model, slides_of(model, records))[0].controller
+    found = controllers(model, slides_of(dataset_of(model, records)))[0].controller
     assert ("ki" in found) == ("ki" in gains)
     assert ("limit" in found) == ("limit" in gains)
     # relative to the nominal inertia, which is the true one
@@ -166,7 +166,7 @@ def test_its_structure_and_its_gains_are_found(gains):
 def test_what_is_known_stays():
     _, records = records_of({"kp": 6.0}, seconds=6.0)
     known = Model.from_dict(deepcopy(TREE) | {"controller": {"kp": 6.0}})
-    found = controllers(known, slides_of(known, records))[0].controller
+    found = controllers(known, slides_of(dataset_of(known, records)))[0].controller
     assert found["kp"] == 6.0
 
 

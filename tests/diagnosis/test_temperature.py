@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
+from bristle.common.units import quantity
 from bristle.diagnosis import diagnose, load_records
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.model.native import Native
@@ -71,6 +72,7 @@ def test_viscous_friction_falls_by_half_where_the_exponent_says():
 def test_readings_in_degrees_are_kelvin_inside_and_the_file_reads_back(tmp_path):
     model = Model.from_dict(deepcopy(TREE))
     assert model.effects == {}
+    assert quantity("20 degC", "K") == pytest.approx(293.15)
     [first, _] = records_in(tmp_path, model, 0.02)
     assert first.known["known.temperature"][0] == pytest.approx(18.0 + 273.15)
     assert Model.from_dict(tomllib.loads(model_text(model))).known == model.known

@@ -124,7 +124,7 @@ PUBLIC = {
     ],
     "bristle.plant.controller": ["CONTROLLER"],
     "bristle.plant.known": ["KNOWN"],
-    "bristle.plant.effects": ["BESIDE", "effect", "effects", "separation"],
+    "bristle.plant.effects": ["BESIDE", "effect", "effects", "owners_of_inputs", "separation"],
     "bristle.plant.friction": ["law", "law_names", "laws"],
     "bristle.plant.law": [
         "Friction",
