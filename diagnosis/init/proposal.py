@@ -227,30 +227,55 @@ def _best(
     outputs: Sequence[Candidate],
 ) -> tuple[_Reading, list[Finding]]:
     """Return the likeliest pair by name and, among equal ones, by the share of torque explained."""
-    first = [each for each in inputs if each.rank == inputs[0].rank]
-    last = [each for each in outputs if each.rank == outputs[0].rank]
-    readings = _readings(tables, time, first, last)
+    readings = _by_name(tables, time, inputs, outputs)
     if inputs[0].kind == SETPOINT:
         return readings[0], []
-    if readings[0].best < LEAST_SHARE and (len(first) < len(inputs) or len(last) < len(outputs)):
-        others = _readings(tables, time, inputs, outputs)
-        readings = others if others[0].best > BETTER_RATIO * readings[0].best else readings
-    best, doubts = readings[0], []
-    for role in ("input", "output"):
-        chosen = getattr(best, role).column.column
-        rivals: dict[str, float] = {}
-        for each in readings[1:]:
-            name = getattr(each, role).column.column
-            if name != chosen:
-                rivals.setdefault(name, each.best)
-        if rivals:
-            name, share = next(iter(rivals.items()))
-            seen = {"explained": best.best, "other": name, "other_explained": share}
-            which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
-            doubts.append(finding(Reason.SEVERAL_COLUMNS, **which, **seen))
+    best = readings[0]
+    doubts = [each for role in ("input", "output") for each in _rivals(readings, role)]
     if best.best < LEAST_SHARE:
         doubts.append(_unexplained(best))
     return best, doubts
+
+
+def _by_name(
+    tables: Mapping[Path, Columns],
+    time: Candidate,
+    inputs: Sequence[Candidate],
+    outputs: Sequence[Candidate],
+) -> list[_Reading]:
+    """Return the readings of the columns that names propose, or of all where those explain little,
+    the best first.
+    """
+    first = [each for each in inputs if each.rank == inputs[0].rank]
+    last = [each for each in outputs if each.rank == outputs[0].rank]
+    # a goal beside a column that may be an effort says less of the servo
+    efforts = [each for each in inputs if each.kind != SETPOINT]
+    named = _readings(tables, time, first, last)
+    if (
+        inputs[0].kind == SETPOINT
+        or named[0].best >= LEAST_SHARE
+        or (len(first) >= len(efforts) and len(last) == len(outputs))
+    ):
+        return named
+    others = _readings(tables, time, efforts, outputs)
+    return others if others[0].best > BETTER_RATIO * named[0].best else named
+
+
+def _rivals(readings: Sequence[_Reading], role: str) -> list[Finding]:
+    """Return a doubt about the column of a role, where others may have it."""
+    best = readings[0]
+    chosen = getattr(best, role).column.column
+    rivals: dict[str, float] = {}
+    for each in readings[1:]:
+        name = getattr(each, role).column.column
+        if name != chosen:
+            rivals.setdefault(name, each.best)
+    if not rivals:
+        return []
+    name, share = next(iter(rivals.items()))
+    seen = {"explained": best.best, "other": name, "other_explained": share}
+    which = {"columns": len(rivals) + 1, "role": role, "chosen": chosen}
+    return [finding(Reason.SEVERAL_COLUMNS, **which, **seen)]
 
 
 def _unexplained(best: _Reading) -> Finding:

@@ -189,7 +189,8 @@ def evaluate(model: SlidingModel, values: Mapping[str, float], noise: SlidingNoi
             variance_slopes[:, place] += through.variance_slope[:, k] / value
     total = -math.inf
     if through.variance.min() > 0:
-        total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
+        with np.errstate(over="ignore"):  # far from what was measured: infinitely unlikely
+            total = -0.5 * float(np.sum(np.log(through.variance) + e * e / through.variance))
     for f in model.free:
         if f.nominal is not None:
             total -= 0.5 * ((f.scaled(values[f.name]) - f.nominal) / f.prior_sd) ** 2
