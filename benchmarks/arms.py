@@ -35,7 +35,7 @@ from bristle.common.arguments import filled_path
 
 JOINTS, HIDDEN = 7, 3
 SAMPLES, PERIOD, PARTS = 15_000, 1e-3, 4  # of a log; sampling period [s]; steps in a period
-HELD = 0.5  # of the torque that would stop a joint within a step, at most, while it creeps
+SWEEPS = 6  # over all joints, in which their dry friction is found
 NEAR = 0.03  # of the friction: what counts as right
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -140,6 +140,25 @@ def reference(rng: Generator) -> Callable[[float], tuple[Array, Array, Array]]:
     return at
 
 
+def friction(free: Array, yields: Array, level: Array, dry: Array) -> Array:
+    """Return the dry friction of joints over a step: what stops them, up to its level [N.m].
+
+    `free`: velocities (joints,) at the end of the step without it; `yields` (joints, joints): how
+    they change with it; `dry`: of the step before. Source: moreau1988 (time stepping; each joint in
+    turn).
+    """
+    torque, speed = dry.tolist(), (free - yields @ dry).tolist()
+    columns, most = yields.T.tolist(), level.tolist()
+    for _ in range(SWEEPS):
+        for j in range(JOINTS):
+            new = torque[j] + speed[j] / columns[j][j]
+            new = min(max(new, -most[j]), most[j])
+            change, torque[j] = new - torque[j], new
+            if change:
+                speed = [v - change * y for v, y in zip(speed, columns[j], strict=True)]
+    return np.array(torque)
+
+
 def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Array]:
     """Return the positions (samples, joints) that the encoders show, and the torques."""
     import mujoco
@@ -151,15 +170,14 @@ def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Ar
     loop, size = log_uniform(rng, 8.0, 25.0), rng.uniform(0.03, 0.1) * truth.coulomb
     shown, asked = np.empty((SAMPLES, JOINTS)), np.empty((SAMPLES, JOINTS))
     data.qpos[:], data.qvel[:] = goal(0.0)[:2]
-    mass, noise = np.empty((JOINTS, JOINTS)), np.zeros(JOINTS)
+    mass, noise, dry = np.empty((JOINTS, JOINTS)), np.zeros(JOINTS), np.zeros(JOINTS)
     keep = math.exp(-2 * math.pi * log_uniform(rng, 1.0, 20.0) * PERIOD)
     for k in range(SAMPLES):
         q, v, a = goal(k * PERIOD)
         mujoco.mj_forward(model, data)
         for row, unit in zip(mass, np.eye(JOINTS), strict=True):
             mujoco.mj_mulM(model, data, row, unit)
-        # below this slope friction does not make the velocity change its sign in a step
-        steep = HELD * np.diag(mass) * PARTS / PERIOD
+        yields: Array = np.linalg.inv(mass) * (PERIOD / PARTS)
         shown[k] = step * np.floor(data.qpos / step)
         wanted = a + 2 * loop * (v - data.qvel) + loop**2 * (q - shown[k])
         u = asked[k] = data.qfrc_bias + mass @ wanted
@@ -170,8 +188,10 @@ def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Ar
             for j, each in truth.hidden.items():
                 level[j] += each.friction(now[j], u[j])
                 more[j] = each.torque(data.qpos[j], now[j], u[j])
-            drag = truth.viscous * now + np.clip(steep * now, -level, level)
-            data.qfrc_applied[:] = u + noise + more - drag
+            data.qfrc_applied[:] = u + noise + more - truth.viscous * now
+            mujoco.mj_forward(model, data)
+            dry = friction(now + PERIOD / PARTS * data.qacc, yields, level, dry)
+            data.qfrc_applied[:] -= dry
             mujoco.mj_step(model, data)
     return shown, asked
 

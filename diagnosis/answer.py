@@ -122,6 +122,7 @@ class Reason(StrEnum):
     UNMET = "unmet"
     OTHERS_UNFINISHED = "others_unfinished"
     UNKNOWN_STRENGTH = "unknown_strength"
+    FAINT = "faint"
     ONLY_BOUNDS = "only_bounds"
     # what was found in a view of the residual
     WAVE_IN_TIME = "wave_in_time"
@@ -167,6 +168,7 @@ class Reason(StrEnum):
     DOUBT_REST = "doubt_rest"
     DOUBT_SIZE = "doubt_size"
     DOUBT_CANCELLING = "doubt_cancelling"
+    DOUBT_FAINT = "doubt_faint"
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 
 import casadi as ca
@@ -21,6 +22,9 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
 
 Names = tuple[str, ...]
+DRIVE = "drive"
+# of the torques of drive and dry friction: their errors, where as large, pass for anything
+FAINT = 0.02
 RECORDED = ("a", "u_before", "error_sum")  # what only states that a record shows depend on
 MOTION = ("theta", "v", "u", "time", *RECORDED)
 
@@ -135,3 +139,34 @@ def driving_input(effects: Names, values: Mapping[str, float], over: Stretches) 
     own = [values.get(name, default) for name, default in defaults.items()]
     [torque] = function([*motion, *own, over.h])
     return torque
+
+
+def sliding_torques(
+    law: str, effects: Names, values: Mapping[str, float], over: Stretches
+) -> dict[str, Array]:
+    """Return the torques (samples,) of the drive (`DRIVE`), the friction law and the effects along
+    the measured motion [N.m]; those that depend on more than that are left out.
+    """
+    follows = tuple(e for e in effects if e == CONTROLLER.name)
+
+    def torque(law: str, *names: str) -> Array:
+        return sliding_torque(law, (*names, *follows), (), values, over)[0]
+
+    parts = {DRIVE: values["b"] * driving_input(effects, values, over)}
+    with suppress(NotStaticError):
+        bare = torque(law)
+        parts[law] = bare - torque("viscous")
+        for name in (e for e in effects if e not in follows):
+            with suppress(NotStaticError):
+                parts[name] = torque(law, name) - bare
+    return parts
+
+
+def is_faint(torques: Mapping[str, Array], law: str, name: str) -> bool:
+    """Return whether the torque of an effect is small beside those of drive and friction law at
+    every sample.
+    """
+    if name not in torques:
+        return False
+    known = np.abs(torques[DRIVE]) + np.abs(torques[law])
+    return bool((np.abs(torques[name]) < FAINT * known).all())

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.answer import LEAST_FALL, Diagnosis, Finding, Reason, finding
-from bristle.diagnosis.sliding.torque import sliding_torque
+from bristle.diagnosis.sliding.torque import DRIVE, FAINT, is_faint, sliding_torques
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
 
@@ -48,8 +47,19 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.doubtful:
         yield finding(Reason.DOUBT_REST, share=answer.remains.share)
-    if opposed := _cancelling(case, answer):
+    yield from _doubts_of_torques(case, answer)
+
+
+def _doubts_of_torques(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
+    """Give the reasons that lie in the torques of the effects where the records slide."""
+    servo, over = case.final.servo, case.dataset.stretches
+    values = {**servo.fixed, **case.final.fit.values}
+    values |= {name: e.value for name, e in answer.fitted.items()}
+    torques = sliding_torques(servo.law, servo.effects, values, over)
+    if opposed := _cancelling({name: each[over.counted] for name, each in torques.items()}):
         yield finding(Reason.DOUBT_CANCELLING, effects=opposed)
+    if faint := tuple(e.name for e in answer.effects if is_faint(torques, servo.law, e.name)):
+        yield finding(Reason.DOUBT_FAINT, effects=faint, share=FAINT)
 
 
 def _doubts_of_sizes(answer: Diagnosis) -> Iterator[Finding]:
@@ -71,28 +81,12 @@ def _incredible(answer: Diagnosis) -> Iterator[str]:
                 yield f"{effect.name}.{key}"
 
 
-def _cancelling(case: SearchedCase, answer: Diagnosis) -> tuple[str, ...]:
-    """Return effects, or the friction law and an effect, whose torques cancel each other wherever
-    the records slide; none if there are none, or torques are no functions of the motion.
+def _cancelling(torques: Mapping[str, Array]) -> tuple[str, ...]:
+    """Return two torques that cancel each other wherever the records slide; none if there are
+    none.
     """
-    servo, over = case.final.servo, case.dataset.stretches
-    values = {**servo.fixed, **case.final.fit.values}
-    values |= {name: e.value for name, e in answer.fitted.items()}
-
-    def torque(law: str, effects: Sequence[str]) -> Array:
-        return sliding_torque(law, tuple(effects), (), values, over)[0][over.counted]
-
-    try:
-        whole = torque(servo.law, servo.effects)
-        parts = {
-            name: whole - torque(servo.law, [e for e in servo.effects if e != name])
-            for name in servo.effects
-        }
-        parts[servo.law] = whole - torque("viscous", servo.effects)
-    except BristleError:
-        return ()
-    for one, other in combinations(parts, 2):
-        size = np.linalg.norm(parts[one]) + np.linalg.norm(parts[other])
-        if size > 0 and np.linalg.norm(parts[one] + parts[other]) < CANCELLED * size:
+    for one, other in combinations(sorted(set(torques) - {DRIVE}), 2):
+        size = np.linalg.norm(torques[one]) + np.linalg.norm(torques[other])
+        if size > 0 and np.linalg.norm(torques[one] + torques[other]) < CANCELLED * size:
             return one, other
     return ()

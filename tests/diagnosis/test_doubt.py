@@ -29,10 +29,12 @@ H = 1e-3
 UNUSED: Any = None  # of a stage's arguments
 
 
-def moving(*speeds: float, effects: tuple[str, ...] = ()) -> Any:
-    """Return what the doubts need of a case: records that move at these speeds [rad/s], nearly."""
+def moving(*speeds: float, effects: tuple[str, ...] = (), torque: float = 1.0) -> Any:
+    """Return what the doubts need of a case: records that move at these speeds [rad/s], nearly,
+    driven by this torque [N.m].
+    """
     t = H * np.arange(3000)
-    records = [(t, np.ones_like(t), v * t + 0.1 * np.sin(3 * t)) for v in speeds]
+    records = [(t, np.full_like(t, torque), v * t + 0.1 * np.sin(3 * t)) for v in speeds]
     over = stretches_of(records, H, False, 1e-5)
     servo = SimpleNamespace(law="coulomb", effects=effects, fixed={"b": 1.0, "u_max": 1e9})
     final = SimpleNamespace(servo=servo, fit=SimpleNamespace(values={"J": 0.01, "a2": 0.02}))
@@ -149,8 +151,17 @@ def test_what_cancels_the_friction_wherever_the_servo_moves_is_no_name(answer):
     assert judged(bias, moving(3.0, 2.0, effects=("bias",))) == opposed
     assert judged(bias, moving(3.0, -2.0, effects=("bias",))) == []
     assert judged(bias, moving(-3.0, effects=("bias",))) == []
+
+
+def test_a_torque_that_is_small_beside_others_is_no_name(answer):
+    """Drive of 1 N.m and friction of .0246: a bias of 1.5 % of both may be an error of either."""
+    for share, doubts in ((0.015, [Reason.DOUBT_FAINT]), (0.025, [])):
+        bias = of(answer("named"), "bias", "torque", share * (1.0 + 0.0246))
+        assert judged(bias, moving(3.0, -2.0, effects=("bias",))) == doubts
+    # the same torque of a drive that hardly does more
     weak = of(answer("named"), "bias", "torque", 0.015)
-    assert judged(weak, moving(3.0, effects=("bias",))) == []
+    case = moving(3.0, effects=("bias",), torque=0.1)
+    assert judged(weak, case) == []
 
 
 @pytest.mark.parametrize(("share", "doubts"), [(0.1, []), (-0.35, [Reason.DOUBT_SIZE])])

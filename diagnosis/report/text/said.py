@@ -150,11 +150,16 @@ SENTENCES: dict[Reason, str] = {
     R.DOUBT_WHOLE: "over longer times the model is worse than without",
     R.DOUBT_SIZE: "{parameters} is larger than hardware has",
     R.DOUBT_CANCELLING: "the torques of {effects} cancel each other in these records",
+    R.DOUBT_FAINT: "the torque of {effects} is nowhere {share:.0%} of that of drive and friction",
     R.DOUBT_REST: "{share:.0%} of the residual can still be predicted",
     R.UNMET: "'{effect}' is significant, but {objection}",
     R.OTHERS_UNFINISHED: "'{effect}' is the best, but others were not tried to the end",
     R.UNKNOWN_STRENGTH: (
         "'{effect}' is significant, but beside what was found its strength is not known"
+    ),
+    R.FAINT: (
+        "'{effect}' is significant, but its torque is nowhere {share:.0%} of that of drive and"
+        " friction"
     ),
     R.ONLY_BOUNDS: "it only makes up for bounds",
     # views of the residual
