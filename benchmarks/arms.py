@@ -177,7 +177,7 @@ def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Ar
         mujoco.mj_forward(model, data)
         for row, unit in zip(mass, np.eye(JOINTS), strict=True):
             mujoco.mj_mulM(model, data, row, unit)
-        yields: Array = np.linalg.inv(mass) * (PERIOD / PARTS)
+        yields = np.asarray(np.linalg.inv(mass) * (PERIOD / PARTS), dtype=float)
         shown[k] = step * np.floor(data.qpos / step)
         wanted = a + 2 * loop * (v - data.qvel) + loop**2 * (q - shown[k])
         u = asked[k] = data.qfrc_bias + mass @ wanted
