@@ -4,9 +4,10 @@
 
 MuJoCo simulates each arm in its loop of computed torque (8 to 25 rad/s), with the rotors, friction
 and hidden effects of this program, a disturbance of 3 to 10 % of the friction and encoders of 1e-5
-to 1e-4 rad, at 1 kHz; two logs of 15 s, in which all joints move at once. What each joint carries
-is worked out from its URDF, by the same library: an error of the URDF is no part of this. Each
-joint is diagnosed as `bristle diagnose arm.toml` does, with nothing known of its friction.
+to 1e-4 rad, from which the loop has its velocities too; two logs of 15 s at 1 kHz, in which all
+joints move at once. What each joint carries is worked out from its URDF, by the same library: an
+error of the URDF is no part of this. Each joint is diagnosed as `bristle diagnose arm.toml` does,
+with nothing known of its friction.
 An interrupted run continues with the joints that are missing in DIR.
 """
 
@@ -35,6 +36,7 @@ from bristle.common.arguments import filled_path
 
 JOINTS, HIDDEN = 7, 3
 SAMPLES, PERIOD, PARTS = 15_000, 1e-3, 4  # of a log; sampling period [s]; steps in a period
+SEEN = 1 - math.exp(-PERIOD / 3e-3)  # of a difference of positions, in the velocity of the loop
 SWEEPS = 6  # over all joints, in which their dry friction is found
 NEAR = 0.03  # of the friction: what counts as right
 
@@ -170,7 +172,8 @@ def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Ar
     loop, size = log_uniform(rng, 8.0, 25.0), rng.uniform(0.03, 0.1) * truth.coulomb
     shown, asked = np.empty((SAMPLES, JOINTS)), np.empty((SAMPLES, JOINTS))
     data.qpos[:], data.qvel[:] = goal(0.0)[:2]
-    mass, noise, dry = np.empty((JOINTS, JOINTS)), np.zeros(JOINTS), np.zeros(JOINTS)
+    mass = np.empty((JOINTS, JOINTS))
+    noise, dry, seen = np.zeros(JOINTS), np.zeros(JOINTS), goal(0.0)[1]
     keep = math.exp(-2 * math.pi * log_uniform(rng, 1.0, 20.0) * PERIOD)
     for k in range(SAMPLES):
         q, v, a = goal(k * PERIOD)
@@ -179,7 +182,8 @@ def log(rng: Generator, text: str, truth: Truth, step: float) -> tuple[Array, Ar
             mujoco.mj_mulM(model, data, row, unit)
         yields = np.asarray(np.linalg.inv(mass) * (PERIOD / PARTS), dtype=float)
         shown[k] = step * np.floor(data.qpos / step)
-        wanted = a + 2 * loop * (v - data.qvel) + loop**2 * (q - shown[k])
+        seen += SEEN * ((shown[k] - shown[max(k - 1, 0)]) / PERIOD - seen)
+        wanted = a + 2 * loop * (v - seen) + loop**2 * (q - shown[k])
         u = asked[k] = data.qfrc_bias + mass @ wanted
         noise = keep * noise + math.sqrt(1 - keep**2) * size * rng.standard_normal(JOINTS)
         for _ in range(PARTS):

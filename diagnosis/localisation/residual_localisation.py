@@ -24,6 +24,7 @@ from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, evalua
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance
 from bristle.diagnosis.localisation.views import Share, bases, clocks, harmonics
+from bristle.diagnosis.sliding.torque import sliding_torques
 from bristle.plant.wording import ROTARY, Wording
 
 Array = NDArray[np.float64]
@@ -273,13 +274,27 @@ def _localised(
     rough = torque.reshape(len(torque), dataset.segments.bins, -1).mean(axis=2)
     # periods are counted along the path after which a motion begins anew
     factor = 2 * math.pi / dataset.turn
-    around = replace(dataset.motion, theta=factor * dataset.motion.theta)
+    around = replace(
+        dataset.motion, theta=factor * dataset.motion.theta, a=_acceleration(fitted, dataset)
+    )
     wording = Wording(dataset.linear)
     return (
         shares(response, around, dataset.segments.h, factor * dataset.resolution, rough, wording),
         torque.ravel(),
         response,
     )
+
+
+def _acceleration(fitted: FittedModel, dataset: Dataset) -> Array:
+    """Return the acceleration (samples,) that the model gives the recorded motion [rad/s2]: what is
+    left of the torque accelerates the servo too, but is no function of it.
+    """
+    servo, over = fitted.servo, dataset.stretches
+    values = {**servo.fixed, **fitted.fit.values}
+    torques = sliding_torques(servo.law, servo.effects, values, over)
+    own = (np.sum(list(torques.values()), axis=0) - values["a2"] * over.v) / values["J"]
+    parts = [own[over.record == k][: len(p.u)] for k, p in enumerate(dataset.segments.pieces)]
+    return np.concatenate(parts)
 
 
 def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:

@@ -9,11 +9,14 @@ from copy import copy
 import numpy as np
 import pytest
 
+from bristle import records_from_arrays
 from bristle.diagnosis.answer import OUTLIERS
+from bristle.diagnosis.checks.preparation import prepared_case
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
-from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, shares
+from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, shares, views_of
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.localisation.views import clocks, hats, hysteresis
+from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.text.said import said
 
 SHARE = 0.6
@@ -192,3 +195,38 @@ def test_a_tone_is_drawn_from_the_record_that_has_it(plain):
     np.testing.assert_allclose(
         drawn["before"][0], 0.06 * np.sin(2 * np.pi * 6.3 * drawn["centres"] + 0.4), atol=0.008
     )
+
+
+def swung(tree, disturbance, varies):
+    """Return views of the residual of a servo in an encoder's loop that lacks a `disturbance` [of
+    the friction] and an inertia J (1 + varies cos 2 theta), the largest first.
+    """
+    J, a2, Fc, h, parts, step = 0.04, 1.0, 0.6, 1e-3, 4, 2e-5
+    rng, n, q, v, seen, d = np.random.default_rng(5), 12000, 0.0, 0.0, 0.0, 0.0
+    omega, size, phase = rng.uniform(1.0, 5.0, 3), [0.7, 0.5, 0.3], rng.uniform(0, 6, 3)
+    keep, dt, shown, u = np.exp(-2 * np.pi * 3.0 * h), h / parts, np.zeros(n), np.zeros(n)
+    for k in range(n):
+        angle = omega * k * h + phase
+        goal, rate = np.dot(size, np.sin(angle)), np.dot(size * omega, np.cos(angle))
+        shown[k] = step * np.floor(q / step)
+        seen += (1 - np.exp(-h / 3e-3)) * ((shown[k] - shown[max(k - 1, 0)]) / h - seen)
+        u[k] = J * (30 * (rate - seen) + 225 * (goal - shown[k])) + 0.8 * a2 * rate
+        d = keep * d + np.sqrt(1 - keep**2) * disturbance * Fc * rng.standard_normal()
+        for _ in range(parts):
+            inertia = J * (1 + varies * np.cos(2 * q))
+            pull = u[k] + d - a2 * v + J * varies * np.sin(2 * q) * v**2
+            free, most = v + dt * pull / inertia, dt * Fc / inertia
+            v = free - np.clip(free, -most, most)
+            q += dt * v
+    values = {"J": 0.05, "a2": 1.0, "Fc": 0.5}
+    bounds = {"J": [1e-3, 1.0], "a2": [0.0, 10.0], "Fc": [0.0, 10.0]}
+    model = Model.from_dict(tree | {"parameters": values, "bounds": bounds}, "model")
+    records = records_from_arrays(model, [("a", h * np.arange(n), u, shown)])
+    made = prepared_case(model, records, (), lambda *_: None)
+    return [each.view for each in views_of(made.base, made.dataset) if each.share > 0.2]
+
+
+def test_an_acceleration_that_a_disturbance_gives_is_no_inertia_that_varies(tree):
+    """A measured acceleration holds what the disturbance does, and would predict all of it."""
+    assert "theta x a" not in swung(tree, disturbance=0.08, varies=0.0)
+    assert swung(tree, disturbance=0.02, varies=0.3)[0] == "theta x a"
