@@ -713,6 +713,22 @@ class BetweenSensors:
     unit: str
 
 
+@dataclass(frozen=True)
+class SeenController:
+    """The controller that made the input of a goal: its gains, by the names of `[controller]`, and
+    the share of the input that its law explains.
+
+    `lag`, `delay` [s]: of the output that it sees, and from there to the input. `of`: whether its
+    goal is a "position" or a "velocity"; then kd is its gain, and kp that over the integral.
+    """
+
+    gains: Mapping[str, Estimate]
+    share: float
+    lag: float
+    delay: float
+    of: str
+
+
 class _Written:
     writer: ClassVar[Writer]  # given by the package
 
@@ -774,6 +790,8 @@ class Diagnosis(_Written):
         Errors of whole records in open loop, before and after; None if nothing was searched.
     between : BetweenSensors or None
         What lies between the positions of motor and load; None where one was measured.
+    seen_controller : SeenController or None
+        What made the input of a goal; None where no goal was recorded beside it.
     unnamed : UnnamedTorque or None
         What is left unexplained as a function of one variable or two; None where nothing much is
         left.
@@ -810,6 +828,7 @@ class Diagnosis(_Written):
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     whole: WholeRecords | None = None
     between: BetweenSensors | None = None
+    seen_controller: SeenController | None = None
     unnamed: UnnamedTorque | None = None
     designed: DesignedInput | None = None
     agreement: RecordAgreement | None = None

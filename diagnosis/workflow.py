@@ -31,6 +31,7 @@ from bristle.diagnosis.checks.records import as_inputs, check_arguments
 from bristle.diagnosis.experiment.design import designed_experiment
 from bristle.diagnosis.fmu.fmu_case import prepared_fmu_case
 from bristle.diagnosis.fmu.plant_fmu import plant_fmu, unit_notes
+from bristle.diagnosis.following.gains import seen_controller
 from bristle.diagnosis.following.whole_loop import following_case
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.selection.start_values import SearchOptions
@@ -133,7 +134,11 @@ def diagnose(
         tell,
         options,
     )
-    return replace(answer, between=between_sensors(model, records))
+    return replace(
+        answer,
+        between=between_sensors(model, records),
+        seen_controller=seen_controller(model, records),
+    )
 
 
 def diagnose_fmu(
@@ -183,7 +188,11 @@ def diagnose_fmu(
         return prepared_fmu_case(fmu, model, given, notes, (tell, timeout))
 
     answer = search_prepared(prepare, as_inputs(model, records), tell, options)
-    return replace(answer, between=between_sensors(model, records))
+    return replace(
+        answer,
+        between=between_sensors(model, records),
+        seen_controller=seen_controller(model, records),
+    )
 
 
 def search_prepared(

@@ -18,7 +18,7 @@ from bristle.common.table import Array, Columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.differences import summed
 from bristle.records.formats.reading import read_columns
-from bristle.records.layout import LOAD, Layout
+from bristle.records.layout import GOAL, LOAD, Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.resolution import common_step
 from bristle.records.sensor import (
@@ -172,7 +172,7 @@ def records_from_arrays(
     arrays : iterable of (name, time, u, y) or (name, time, u, y, known)
         Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`, or
         velocities if it says `differences`; `known` is a dict of such arrays, by the names of the
-        layout's `known`, and "load" for a second position.
+        layout's `known`, "load" for a second position, and "goal" for a goal.
     needs : Requirements
         What the records must have; `BristleError` says what one lacks.
     """
@@ -260,7 +260,8 @@ def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
             raise BristleError(
                 f"record {name}: what is known is a {type(known).__name__}; give a dict of arrays"
             )
-        named = {LOAD if key == LOAD else f"known.{key}": x for key, x in known.items()}
+        beside = (LOAD, GOAL)
+        named = {key if key in beside else f"known.{key}": x for key, x in known.items()}
         yield Raw.of(name, name, vectors(name, time, u, y, known=named))
 
 

@@ -16,6 +16,7 @@ from bristle.common.units import quantity
 from bristle.records.formats.rate import rate_of
 
 LOAD = "load"  # what records call a second position
+GOAL = "goal"  # what records call a goal beside a measured input
 SETPOINT = "setpoint"  # kind of an input that is a goal for the output
 # SI unit of each other kind of input
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
@@ -60,6 +61,9 @@ class InputTable(Column):
     """What the input is: `torque` and `force` fit an output that turns and one that moves, the
     others either; `setpoint` is the position that a controller follows, in model files alone.
     """
+    goal: Column | None = None
+    """Column of the goal of the output, from which a controller made this input: a table
+    `[input.goal]`."""
 
 
 class OutputTable(Column):
@@ -131,6 +135,8 @@ class Layout:
         "temperature".
     load : Column or None
         A second position, of the load.
+    goal : Column or None
+        A goal of the output, from which a controller made the input.
     """
 
     time: Column | None = None
@@ -145,6 +151,7 @@ class Layout:
     differences: bool = False
     known: Mapping[str, Column] = field(default_factory=dict)
     load: Column | None = None
+    goal: Column | None = None
 
     @property
     def input_unit(self) -> str:
@@ -180,6 +187,8 @@ class Layout:
             found["velocity"] = self.velocity, _output_unit("velocity", self.linear)
         if self.load is not None:
             found[LOAD] = self.load, _output_unit("position", self.linear)
+        if self.goal is not None:
+            found[GOAL] = self.goal, self.output_unit
         units = KNOWN_UNITS["linear" if self.linear else "rotary"]
         return found | {f"known.{key}": (x, units[key]) for key, x in self.known.items()}
 
@@ -225,7 +234,11 @@ def layout_of(
         differences=differences,
         known=_known(known, where),
         load=None if table.output.load is None else _column(table.output.load),
+        goal=None if table.input.goal is None else _column(table.input.goal),
     )
+    if layout.goal is not None and layout.input_kind == SETPOINT:
+        said = "the input is the goal itself; give the column of a torque, current or voltage"
+        raise mistake(where, f"{prefix}input.goal", None, said)
     if layout.load is not None and layout.output_kind != "position":
         said = 'is compared with the position of the motor; write kind = "position"'
         raise mistake(where, f"{prefix}output.load", None, said)
@@ -359,6 +372,8 @@ def layout_lines(layout: Layout) -> list[str]:
         lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
     if layout.velocity is not None:
         lines += ["", "[velocity]", *_column_lines(layout.velocity)]
+    if layout.goal is not None:
+        lines += ["", "[input.goal]", *_column_lines(layout.goal)]
     if layout.load is not None:
         lines += ["", "[output.load]", *_column_lines(layout.load)]
     for key, column in layout.known.items():

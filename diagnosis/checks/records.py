@@ -15,7 +15,7 @@ from bristle.plant.servo import J
 from bristle.records import intake
 from bristle.records.clock import must_agree
 from bristle.records.intake import RecordArrays, Requirements
-from bristle.records.layout import LOAD
+from bristle.records.layout import GOAL, LOAD
 from bristle.records.record import Record
 
 LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
@@ -73,11 +73,13 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
     if not records:
         raise BristleError("no record is given; give at least one")
     for record in records:
-        if model.load is not None and LOAD not in record.known:
-            raise BristleError(
-                f"record {record.name}: lacks the position of the load, which the model has a"
-                " column of; read it with load_records, or give it to records_from_arrays"
-            )
+        beside = {LOAD: ("output.load", model.load), GOAL: ("input.goal", model.goal)}
+        for key, (table, column) in beside.items():
+            if column is not None and key not in record.known:
+                raise BristleError(
+                    f"record {record.name}: lacks {table}, which the model has a column of; read"
+                    " it with load_records, or give it to records_from_arrays"
+                )
         for key in model.known:
             if f"known.{key}" not in record.known:
                 raise BristleError(
@@ -90,13 +92,13 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
 
 def as_inputs(model: Model, records: Sequence[Record]) -> list[Record]:
     """Return records with what is known as inputs of the servo and of its effects: without the
-    position of the load, an inertia as a factor on J.
+    position of the load and the goal, an inertia as a factor on J.
     """
     return [replace(record, known=_inputs(model, record.known)) for record in records]
 
 
 def _inputs(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
-    known = {name: x for name, x in given.items() if name != LOAD}
+    known = {name: x for name, x in given.items() if name not in (LOAD, GOAL)}
     for own, effect in owners_of_inputs().items():
         if (values := known.pop(f"{KNOWN.name}.{own}", None)) is not None:
             known[f"{effect}.{own}"] = values

@@ -18,6 +18,7 @@ from bristle.diagnosis.answer import (
     Gap,
     Named,
     Round,
+    SeenController,
     Undetected,
     Unexplained,
     UnnamedTorque,
@@ -50,6 +51,7 @@ def diagnosis_content(d: Diagnosis) -> dict[str, Any]:
             "findings": list(d.findings),
             "proposals": list(d.proposals),
             "between": _between(d.between) if d.between else None,
+            "controller": _controller(d.seen_controller) if d.seen_controller else None,
             "base": _estimates(d.base),
             "parameters": _estimates(d.parameters),
             "rounds": [_round(r) for r in d.rounds],
@@ -68,6 +70,11 @@ def _between(between: BetweenSensors) -> dict[str, Any]:
     parts = {name: _estimates(own) for name, own in between.parts.items()}
     errors = {"before": between.before, "after": between.after, "unit": between.unit}
     return {"parts": parts, "difference": errors}
+
+
+def _controller(seen: SeenController) -> dict[str, Any]:
+    facts = {"of": seen.of, "share": seen.share, "lag": seen.lag, "delay": seen.delay}
+    return {"gains": _estimates(seen.gains), **facts}
 
 
 def _effect(e: Named) -> dict[str, Any]:

@@ -72,8 +72,21 @@ def model_text(proposal: Proposal, command: str) -> str:
         lines += [_sensor_line(proposal)] if role == "output" else []
         for other in proposal.others[role]:
             lines += ["# or:", *(f"# {line}" for line in _declaration(other))]
-    lines += _load_lines(proposal)
+    lines += _goal_lines(proposal) + _load_lines(proposal)
     return "\n".join(lines) + "\n"
+
+
+def _goal_lines(proposal: Proposal) -> list[str]:
+    """Return how a goal beside the input would be given, as comments, where there is one."""
+    goals = [each for each in proposal.others["input"] if each.kind == SETPOINT]
+    if not goals or proposal.output.kind != "position":
+        return []
+    return [
+        "",
+        "# if a controller made the input of this goal:",
+        "# [input.goal]             # its gains are then seen beside the servo",
+        *(f"# {line}" for line in _column_lines(goals[0].column)),
+    ]
 
 
 def _load_lines(proposal: Proposal) -> list[str]:

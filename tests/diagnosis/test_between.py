@@ -148,5 +148,5 @@ def test_what_cannot_be_is_one_line():
         Model.from_dict(tree)
     model = Model.from_dict(deepcopy(TREE))
     name, t, u, motor, _ = prescribed(lambda torque, theta: 0 * theta)
-    with pytest.raises(BristleError, match="lacks the position of the load"):
+    with pytest.raises(BristleError, match=r"lacks output\.load"):
         diagnose(model, records_from_arrays(model, [(name, t, u, motor)]))

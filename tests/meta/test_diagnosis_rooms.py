@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "sliding": {"free_parameter"},
     "estimation": {*GROUND, *FITS},
     "checks": {*GROUND, *FITS, "estimation"},
-    "localisation": {"answer", "estimation"},
+    "localisation": {"answer", *FITS, "estimation"},
     "selection": {"answer", *FITS, "checks", "estimation", "localisation"},
     "stages": {*GROUND, *FITS, "checks", "estimation", "localisation", "selection"},
     # side by side: none imports another

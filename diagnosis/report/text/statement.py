@@ -15,6 +15,7 @@ from bristle.diagnosis.answer import (
     Named,
     Reason,
     RecordAgreement,
+    SeenController,
     Undetected,
     Unexplained,
     UnnamedTorque,
@@ -70,7 +71,8 @@ def statement(d: Diagnosis) -> tuple[str, ...]:
         else [open_loop_line(d.whole, d.whole.horizons[0].seconds, d.model.controller is not None)]
     )
     between = () if d.between is None else (between_line(d.between),)
-    return (*leads, *answer_lines(d), *whole, *between)
+    seen = () if d.seen_controller is None else (controller_line(d.seen_controller),)
+    return (*leads, *answer_lines(d), *whole, *between, *seen)
 
 
 BETWEEN_WORDS = {
@@ -97,6 +99,26 @@ def between_line(between: BetweenSensors) -> str:
     return (
         f"Between the positions of motor and load: {listed(parts, 'and')}. That leaves"
         f" {between.after:.3g} of {between.before:.3g} {between.unit} of their difference, rms."
+    )
+
+
+LEAST_LAW = 0.9  # of the input: what the law of a controller explains, else it is another
+
+
+def controller_line(seen: SeenController) -> str:
+    """Return what made the input of the goal."""
+    if seen.share < LEAST_LAW:
+        return (
+            f"The law of a PID explains {seen.share:.0%} of the input by the goal of the {seen.of}:"
+            " another made it, or the goal is not the one that it followed."
+        )
+    gains = [
+        f"{name} = {value(e) if e.ci95 else f'{e.value:.4g} {e.unit}'}"
+        for name, e in seen.gains.items()
+    ]
+    return (
+        f"The controller that made the input of the goal of the {seen.of}: {listed(gains, 'and')}."
+        f" Its law explains {seen.share:.1%} of the input."
     )
 
 
