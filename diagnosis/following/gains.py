@@ -34,6 +34,9 @@ LEAST_PIECE = 20  # samples between two moments at the limit
 # of the squares that are left: lags and delays with as much count as well as the best, and a
 # further part of a controller leaves less
 NEARLY_AS_WELL = 1.5
+# of the squares left: with P and D action alone both ways of a lag have the same law, and in most
+# drives the velocity alone lags
+LATE_PRICE = 1.01
 # settings of the law between which each part acts with a gain of 1
 ONES: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]] = {
     "kp": ({"kp": 1.0}, {}),
@@ -72,6 +75,8 @@ def seen_controller(model: Model, records: Sequence[Record]) -> SeenController |
     if model.goal is None:
         return None
     recorded = _Recorded.of(model, records)
+    if not recorded.power:  # an input that is nowhere off its limit
+        return SeenController({}, 0.0, 0.0, 0.0, model.output_kind)
     best = recorded.likeliest(())
     while True:
         longer = [
@@ -125,7 +130,7 @@ def _estimates(law: _Law, units: Mapping[str, str]) -> dict[str, Estimate]:
     for k, name in enumerate(law.parts):
         value, slope = values[name], np.eye(len(law.parts))[k]
         if name in RELATIVE_TO:
-            over = values[RELATIVE_TO[name]]
+            over = values[RELATIVE_TO[name]] or math.inf
             slope = slope / over
             slope[law.parts.index(RELATIVE_TO[name])] = -value / over**2
             value = value / over + (1.0 if name == "weight" else 0.0)
@@ -193,7 +198,7 @@ class _Recorded:
 
     def likeliest(self, parts: Collection[str]) -> _Law:
         """Return the likeliest of them."""
-        return min(self.laws(parts), key=lambda law: law.left)
+        return min(self.laws(parts), key=lambda law: law.left * (LATE_PRICE if law.late else 1.0))
 
     def asked_beyond(self, law: _Law) -> float:
         """Return how much of a large input the law asks for there, median."""
@@ -215,7 +220,8 @@ class _Recorded:
         own = [list(ONES).index(name) for name in names]
         blocks, with_input = products[:, own][:, :, own], products[:, own, -1]
         table, slope = blocks.sum(axis=0), with_input.sum(axis=0)
-        size = np.sqrt(np.diag(table)) + 1e-300
+        size = np.sqrt(np.diag(table))
+        size[size == 0.0] = 1.0  # a part that never acts
         inverse = np.linalg.pinv(table / np.outer(size, size), hermitian=True)
         inverse = inverse / np.outer(size, size)
         gains = inverse @ slope

@@ -1,18 +1,21 @@
 """A goal beside a measured input: the gains of the controller between them."""
 
 import math
+import os
 import tomllib
 from copy import deepcopy
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis import Model, diagnose, load_records, records_from_arrays
 from bristle.diagnosis.following.gains import seen_controller
 from bristle.diagnosis.modelfile import model_text
 from bristle.diagnosis.report.text.statement import controller_line
 
+DATA = Path(os.environ.get("BRISTLE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 H, STEP, J, A2, FC = 1e-3, 2 * math.pi / 40000, 0.004, 0.01, 0.05
 TREE = {
     "friction": "coulomb",
@@ -98,7 +101,7 @@ def test_the_gains_of_a_position_loop(gains):
         shown = {name: true for name, true in gains.items() if name != "late"}
         assert set(found.gains) == {*shown, *(["forward"] if "kd" in gains else [])}, found
         assert found.share > 0.97
-        assert "The controller that made the input" in controller_line(found)
+        assert "Between goal and input: a controller" in controller_line(found)
         for name, true in shown.items():
             assert found.gains[name].value == pytest.approx(true, rel=0.1, abs=0.05), found
         if "kd" in gains:
@@ -127,6 +130,39 @@ def test_a_goal_that_was_not_followed_has_no_controller():
     other = {"goal": np.roll(known["goal"][::-1], 700)}
     found = seen_controller(model, records_from_arrays(model, [(name, t, u, y, other)]))
     assert found.share < 0.9
+    assert "another made it" in controller_line(found)
+
+
+def test_the_gains_that_the_authors_of_emps_set():
+    """vir = kp kv (qg - qm) - kv qm', with kp = 160.18 1/s and kv = 243.45 V/(m/s)."""
+    if not DATA.is_dir():
+        pytest.skip(f"no measured data: {DATA} is not there (set BRISTLE_DATA)")
+    tree = deepcopy(TREE) | {
+        "input": {
+            "column": "vir",
+            "kind": "voltage",
+            "unit": "V",
+            "goal": {"column": "qg", "unit": "m"},
+        },
+        "output": {"column": "qm", "kind": "position", "unit": "m"},
+    }
+    model = Model.from_dict(tree)
+    found = seen_controller(model, load_records(model, [DATA / "emps" / "DATA_EMPS.mat"]))
+    assert found.gains["kp"].value == pytest.approx(160.18 * 243.45, rel=0.02)
+    assert found.gains["kd"].value == pytest.approx(243.45, rel=0.02)
+    assert found.gains["kp"].unit == "V/m"
+    assert found.share > 0.999
+
+
+@pytest.mark.parametrize("what", ["a goal that rests", "an input at its limit"])
+def test_what_shows_no_law_is_said(what):
+    model = Model.from_dict(deepcopy(TREE))
+    name, t, u, y, _ = follows({"kp": 60.0, "kd": 2.0}, seconds=4.0)
+    u = np.where(u > 0, 1.0, -1.0) if what == "an input at its limit" else u
+    rests = {"goal": np.full_like(t, 0.3)}
+    found = seen_controller(model, records_from_arrays(model, [(name, t, u, y, rests)]))
+    assert 0.0 <= found.share < 0.9
+    assert all(math.isfinite(each.value) for each in found.gains.values())
     assert "another made it" in controller_line(found)
 
 

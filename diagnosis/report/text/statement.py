@@ -117,8 +117,8 @@ def controller_line(seen: SeenController) -> str:
         for name, e in seen.gains.items()
     ]
     return (
-        f"The controller that made the input of the goal of the {seen.of}: {listed(gains, 'and')}."
-        f" Its law explains {seen.share:.1%} of the input."
+        f"Between goal and input: a controller of the {seen.of} with {listed(gains, 'and')}. Its"
+        f" law explains {seen.share:.1%} of the input."
     )
 
 
