@@ -19,7 +19,7 @@ from bristle.common.metrics import NORMAL_95
 from bristle.common.table import Array
 from bristle.diagnosis.answer import Estimate, SeenController
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.sliding.stretches import Stretches, stretches_of
+from bristle.diagnosis.sliding.stretches import Stretches, integral, stretches_of
 from bristle.diagnosis.sliding.torque import driving_input
 from bristle.plant.controller import CONTROLLER
 from bristle.records.layout import GOAL
@@ -175,7 +175,7 @@ class _Recorded:
         velocity = model.output_kind == "velocity"
         shown = [(r.time, r.known[GOAL], r.y) for r in records]
         if velocity:
-            shown = [(t, _integral(goal, h), _integral(y, h)) for t, goal, y in shown]
+            shown = [(t, integral(goal, h), integral(y, h)) for t, goal, y in shown]
             resolution *= h
         over = stretches_of(shown, h, False, resolution)
         u = np.concatenate([r.u for r in records])
@@ -243,10 +243,11 @@ class _Recorded:
         and of the input, the last, with one another.
         """
         if (lag, late, delay) not in self.known:
-            columns = np.roll(self._columns(list(ONES), lag, late), delay, axis=0)
-            free = self._free(np.column_stack([columns, self.u]))
-            blocks = np.array_split(free, GAIN_PARTS)
-            self.known[lag, late, delay] = np.array([b.T @ b for b in blocks])
+            columns = self._columns(list(ONES), lag, late)
+            for each in CONTROLLER_DELAYS:
+                late_by = np.column_stack([np.roll(columns, each, axis=0), self.u])
+                blocks = np.array_split(self._free(late_by), GAIN_PARTS)
+                self.known[lag, late, each] = np.array([b.T @ b for b in blocks])
         return self.known[lag, late, delay]
 
     def _columns(self, names: Sequence[str], lag: float, late: bool) -> Array:
@@ -285,7 +286,3 @@ class _Recorded:
 def _asked(own: Mapping[str, float], over: Stretches) -> Array:
     values = {f"{CONTROLLER.name}.{name}": x for name, x in own.items()}
     return driving_input((CONTROLLER.name,), values, over)
-
-
-def _integral(x: Array, h: float) -> Array:
-    return np.asarray(h * (np.cumsum(x) - x))

@@ -69,7 +69,7 @@ class Stretches:
         """Integral of input less position since the start of the record [rad.s]."""
         error = self.u - self.measured
         parts = [error[self.record == k] for k in range(int(self.record[-1]) + 1)]
-        return np.concatenate([self.h * (np.cumsum(each) - each) for each in parts])
+        return np.concatenate([integral(each, self.h) for each in parts])
 
     @cached_property
     def age(self) -> NDArray[np.int64]:
@@ -92,6 +92,11 @@ class Stretches:
     def seconds(self) -> float:
         """Length of all stretches together [s]."""
         return float(self.h * len(self.counted))
+
+
+def integral(x: Array, h: float) -> Array:
+    """Return the integral of samples (n,) from the first up to each, held between them."""
+    return np.asarray(h * (np.cumsum(x) - x))
 
 
 def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
