@@ -9,7 +9,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from bristle.common.errors import NotStaticError
+from bristle.common.errors import BristleError, NotStaticError
 from bristle.common.table import Array
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.model.python import for_arrays
@@ -153,11 +153,11 @@ def sliding_torques(
         return sliding_torque(law, (*names, *follows), (), values, over)[0]
 
     parts = {DRIVE: values["b"] * driving_input(effects, values, over)}
-    with suppress(NotStaticError):
+    with suppress(BristleError):
         bare = torque(law)
         parts[law] = bare - torque("viscous")
         for name in (e for e in effects if e not in follows):
-            with suppress(NotStaticError):
+            with suppress(BristleError):
                 parts[name] = torque(law, name) - bare
     return parts
 
