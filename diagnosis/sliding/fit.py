@@ -283,7 +283,7 @@ def _within_what_slides(fit: SlidingFit) -> SlidingFit:
     """
     for _ in range(END_PASSES):
         torque, _ = fit.model.torque(fit.values)
-        over = replace(fit.model.over, end=fit.filter.ends(torque))
+        over = fit.filter.as_predicted(torque)
         if len(over.counted) < LEAST_COUNTED:
             break
         fit = climb(evaluate(replace(fit.model, over=over), fit.values, fit.noise))

@@ -143,9 +143,10 @@ EXPORT void kalman_innovations(const double *model, int slopes, int shown, const
 }
 
 /* The end of each stretch: the first sample for which the filter predicts no speed in its direction, or that is `most`
- * standard deviations from the prediction. */
+ * standard deviations from the prediction; and the speeds [length] that it predicts up to there. */
 EXPORT void kalman_ends(const double *model, int shown, const Stretches *over, const Gains *gains,
-                        const double *measured, const double *torque, const double *direction, double most, long long *end) {
+                        const double *measured, const double *torque, const double *direction, double most, long long *end,
+                        double *speed) {
   for (long long c = 0; c < over->count; c++) {
     long long first = over->begin[c] + (shown == 0), k = first;
     double x[N];
@@ -156,6 +157,7 @@ EXPORT void kalman_ends(const double *model, int shown, const Stretches *over, c
       const double *gain = k == first ? 0 : gains->gain + t * N;
       double e = gain ? measured[k] - x[shown] : 0;
       if (gain && e * e > most * most * gains->variance[t]) break;
+      speed[k] = x[1];
       advance(model, torque[k], gain, e, x);
     }
     end[c] = k;

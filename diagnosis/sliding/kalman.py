@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from bristle.common.cache import cached, digest
@@ -184,13 +183,16 @@ class KalmanFilter:
         )
         return innovation[s.counted], slope[s.counted]
 
-    def ends(self, torque: Array) -> NDArray[np.int64]:
-        """Return where stretches end by what is known a sample before: with the first sample for
-        which the prediction under a torque (samples,) [N.m] has turned, or
-        that is an outlier.
+    def as_predicted(self, torque: Array) -> Stretches:
+        """Return the stretches by what is known a sample before, under a torque (samples,) [N.m]:
+        each ends with the first sample for which the prediction has turned, or that is an outlier,
+        and has the speeds that are predicted.
+
+        A smoothed speed knows what comes after: with friction as a function of it, a fit could
+        predict from what it should predict.
         """
         s = self._stretches
-        end = np.empty(len(s.begin), dtype=np.int64)
+        end, speed = np.empty(len(s.begin), dtype=np.int64), s.v.copy()
         _library().kalman_ends(
             pointer(self._model),
             self._shown,
@@ -201,8 +203,10 @@ class KalmanFilter:
             pointer(np.sign(s.v[s.begin])),
             ctypes.c_double(OUTLIER),
             pointer(end),
+            pointer(speed),
         )
-        return end
+        cut = replace(s, end=end)
+        return replace(cut, v=np.where(cut.slides > 0, speed, s.v))
 
     def columns(self, torques: Array) -> Array:
         """Return what further torques (k, samples) [N.m] change in the innovations (counted, k)."""

@@ -13,7 +13,13 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from bristle.diagnosis.free_parameter import Free
-from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, evaluate, fit_sliding
+from bristle.diagnosis.sliding.fit import (
+    SlidingFit,
+    SlidingModel,
+    evaluate,
+    fit_beside,
+    fit_sliding,
+)
 from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
 
@@ -38,11 +44,15 @@ def sampled(noise: SlidingNoise) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slid(
-    seed: int, velocity: bool = False, noise: SlidingNoise = NOISE, seconds: float = 24.0
+    seed: int,
+    velocity: bool = False,
+    noise: SlidingNoise = NOISE,
+    seconds: float = 24.0,
+    drag: float = 0.0,
 ) -> Stretches:
     """Two records of a servo, one sliding forward and one backward, made sample by sample.
 
-    J v' = u + d - a2 v - s Fc, d' = -w d + white noise; exact over each held input.
+    J v' = u + d - a2 v - s Fc - drag v |v|, d' = -w d + white noise; exact over each held input.
     """
     rng, n = np.random.default_rng(seed), round(seconds / H)
     whole, spread = sampled(noise)
@@ -55,7 +65,7 @@ def slid(
         if k == n // 2:
             x[1] = -5.0
         shown[k] = x[1 if velocity else 0]
-        x = whole[:3, :3] @ x + whole[:3, 3] * (u[k] - sign[k] * FC) + kicks[k]
+        x = whole[:3, :3] @ x + whole[:3, 3] * (u[k] - sign[k] * (FC + drag * x[1] ** 2)) + kicks[k]
     shown += noise.sensor * rng.standard_normal(n)
     halves = slice(n // 2), slice(n // 2, n)
     records = [(H * np.arange(n)[half], u[half], shown[half]) for half in halves]
@@ -202,6 +212,20 @@ def test_intervals_cover() -> None:
     assert np.max(np.sum(np.abs(errors) > 1.96, axis=0)) <= 6
     spread = np.sqrt(np.mean(np.square(errors), axis=0))
     assert np.all((spread > 0.5) & (spread < 1.25))
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.001])
+def test_friction_of_the_speed_is_not_biased_by_what_comes_after(drag: float) -> None:
+    """Off by a standard deviation of the mean or two, over records of their own."""
+    noise, off = replace(NOISE, torque=0.02), []
+    for seed in range(8):
+        base = fitted(slid(20 + seed, noise=noise, drag=drag))
+        start = {"quadratic_drag.coefficient": 0.002}
+        free = (Free("quadratic_drag.coefficient", -1.0, 1.0),)
+        fit = fit_beside(base, "quadratic_drag", free, start, 40)
+        name = "quadratic_drag.coefficient"
+        off.append((fit.values[name] - drag) / fit.deviations()[name])
+    assert abs(np.mean(off)) < 3 / math.sqrt(len(off))
 
 
 def test_regression_gives_the_size_of_a_torque() -> None:
