@@ -113,6 +113,8 @@ class Reason(StrEnum):
     REJECTED = "rejected"
     # how a round of the search ended
     ADDED = "added"
+    SLIDING = "sliding"
+    NOT_SLIDING = "not_sliding"
     TIE = "tie"
     BOUND = "bound"
     STANDS_IN = "stands_in"

@@ -49,11 +49,13 @@ from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
+from bristle.plant.known import KNOWN
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
+SCALE_SD = 0.05  # of the scale of a known torque, where the input is a torque
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
 SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
 SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
@@ -305,7 +307,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
         values |= {f"{effect}.{name}": value for name, value in its.items()}
         if effect not in UNNAMED_TORQUES:
             free += [_bounded(model, f) for f in _prior_around(effect, its)]
-    free = _of_controller(free, dataset.resolution)
+    free = _of_known_torque(model, _of_controller(free, dataset.resolution))
     servo = Servo(
         model.friction,
         tuple(model.effects),
@@ -329,6 +331,16 @@ def _of_controller(free: Sequence[Free], resolution: float) -> list[Free]:
         for f in free
         if f.name != kp
     ]
+
+
+def _of_known_torque(model: Model, free: Sequence[Free]) -> list[Free]:
+    """Return free parameters with what is known of the scale of a known torque, where the input is
+    one too: masses and torque constants are off by a few percent.
+    """
+    if model.input_kind not in ("torque", "force"):
+        return list(free)
+    scale = f"{KNOWN.name}.scale"
+    return [replace(f, prior_sd=SCALE_SD) if f.name == scale else f for f in free]
 
 
 def _bounded(model: Model, free: Free) -> Free:

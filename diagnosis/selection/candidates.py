@@ -229,7 +229,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Effect
             *bristle_starts(context.fitted, name),
         ):
             values = {f"{name}.{k}": v for k, v in start.items()}
-            first = _fit_at(context, simulator, name, start, (values, fit.initial))
+            first = fit_at(context, simulator, name, start, (values, fit.initial))
             explained.append(
                 _explained(
                     context, first, len(first.free) - len(context.fitted.servo.free_beside(name))
@@ -247,7 +247,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Effect
         for place in ((joint.values, context.fitted.problem.initial), (alone, fit.initial)):
             trials.append(
                 value_under_noise(
-                    _fit_at(context, simulator, name, joint.own, place), context.screening_noise
+                    fit_at(context, simulator, name, joint.own, place), context.screening_noise
                 )
             )
     trials = _with_load_initialised(context, name, sorted(trials, key=lambda trial: -trial[0]))
@@ -256,7 +256,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Effect
     return EffectFit(name, best, tuple(explained), predicted, tuple(fit for _, fit in rest))
 
 
-def _fit_at(
+def fit_at(
     context: SearchContext,
     simulator: Simulator,
     name: str,

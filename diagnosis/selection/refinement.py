@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from bristle.diagnosis.estimation.fitted_model import (
@@ -128,15 +129,16 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
 
 # -- removal ---------------------------------------------------------------------------------------
 def backward_elimination(
-    context: SearchContext, base: FittedModel, level: float
+    context: SearchContext, base: FittedModel, level: float, certain: Collection[str] = ()
 ) -> tuple[FittedModel, list[str]]:
     """Return the model without the effects that do not meet the criterion beside the last one, and
-    their names.
+    their names; those that are `certain` stay.
 
     `level` is the gain that chance reaches [nats].
     """
     fitted, removed = context.fitted, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
+    added = [name for name in added if name not in certain or name == added[-1]]
     for name in added[:-1]:
         less = _without(fitted, base, name)
         if (

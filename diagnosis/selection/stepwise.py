@@ -46,6 +46,7 @@ from bristle.diagnosis.selection.refinement import (
     refit_shape,
     with_candidate,
 )
+from bristle.diagnosis.selection.sliding_choice import by_sliding
 from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions
 from bristle.diagnosis.sliding.torque import FAINT, is_faint, sliding_torques
 from bristle.plant.effects import effect as find_effect
@@ -94,14 +95,14 @@ def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> Searc
             share = estimate_input_share(dataset, fitted) if options.test_input_hold else None
             if share is not None:
                 return SearchOutcome(fitted, tuple(rounds), share)
-            latest = _next_round(context, base, rounds)
+            latest = by_sliding(context, _next_round(context, base, rounds))
         except OutOfTime:
             return SearchOutcome(fitted, (*rounds, _unfinished(context, base, rounds)))
         if latest.said.outcome != "added":
             cut = finding(Reason.BEST_STARTS_ONLY) if latest.said.cut_short else None
             return SearchOutcome(fitted, (*rounds, latest), cut_short=cut)
         # the effect joins the model, and what it makes superfluous goes
-        fitted, removed = _added(context, base, latest)
+        fitted, removed = _added(context, base, latest, _certain(rounds))
         rounds.append(_decided(latest, removed=tuple(removed)))
         if len(rounds) >= MOST_EFFECTS:
             return SearchOutcome(fitted, tuple(rounds))
@@ -141,16 +142,28 @@ def _unfinished(
     return untried_round.with_said(decision=finding(Reason.OUT_OF_BUDGET))
 
 
+def _certain(rounds: Sequence[TrialRound]) -> list[str]:
+    """Return the effects that sliding motion shows, of which segments do not decide."""
+    decided = [(r.best, r.said.decision) for r in rounds]
+    return [
+        best.name
+        for best, decision in decided
+        if best and isinstance(decision, Finding) and decision.reason is Reason.SLIDING
+    ]
+
+
 def _added(
-    context: SearchContext, base: FittedModel, latest: TrialRound
+    context: SearchContext, base: FittedModel, latest: TrialRound, certain: Sequence[str]
 ) -> tuple[FittedModel, list[str]]:
     """Return the model with the best candidate and without what is no longer needed, and the names
-    of that.
+    of that; effects that are `certain` stay.
     """
     assert latest.best is not None
+    if _certain([latest]):
+        return with_candidate(context, latest.best).fitted, []
     try:
         with_effect = replace(context, fitted=add_effect(context, latest.best, latest.level))
-        return backward_elimination(with_effect, base, latest.level)
+        return backward_elimination(with_effect, base, latest.level, certain)
     except OutOfTime:  # as it was compared with the others
         return with_candidate(context, latest.best).fitted, []
 

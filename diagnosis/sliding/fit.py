@@ -305,6 +305,15 @@ def fit_beside(
     """
     old = fit.model
     model = replace(old, effects=(*old.effects, name), free=(*old.free, *free))
-    noise = replace(fit.noise, corner=max(fit.noise.corner, FAST_CORNER))
+    noise = _fast(fit.noise)
     inside = {f.name: f.clip(values[f.name]) for f in free}
     return climb(evaluate(model, {**fit.values, **values, **inside}, noise), iterations)
+
+
+def with_fast_disturbance(fit: SlidingFit) -> SlidingFit:
+    """Return a fit as it is under a disturbance that cannot stand in for a slow effect."""
+    return evaluate(fit.model, fit.values, _fast(fit.noise))
+
+
+def _fast(noise: SlidingNoise) -> SlidingNoise:
+    return replace(noise, corner=max(noise.corner, FAST_CORNER))

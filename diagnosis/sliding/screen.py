@@ -17,7 +17,7 @@ from bristle.diagnosis.sliding.fit import (
     SlidingFit,
     fit_beside,
 )
-from bristle.diagnosis.sliding.torque import driving_input
+from bristle.diagnosis.sliding.torque import driving_input, sliding_torque
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -57,6 +57,27 @@ def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
         fit.regress,
         turn,
     )
+
+
+def best_start(fit: SlidingFit, name: str, starts: Sequence[Start]) -> tuple[float, Start] | None:
+    """Return the largest gain [nats] that the torque of an effect at a start value predicts, at any
+    size, and that start value; None if the sliding motion does not show the effect.
+
+    Source: rao1948 (score test).
+    """
+    model, effect = fit.model, find_effect(name)
+    defaults = {p.name: p.default for p in effect.parameters} | effect.inactive_values
+    before, _ = model.torque(fit.values)
+    gains = []
+    for start in starts:
+        values = fit.values | defaults | {f"{name}.{k}": v for k, v in start.items()}
+        try:
+            effects = (*model.effects, name)
+            torque, _ = sliding_torque(model.law, effects, (), values, model.over)
+        except BristleError:
+            return None
+        gains.append((fit.regress((torque - before)[:, None])[1], start))
+    return max(gains, key=lambda each: each[0], default=None)
 
 
 def likeliest_beside(

@@ -164,9 +164,9 @@ def sliding_torques(
 
 def is_faint(torques: Mapping[str, Array], law: str, name: str) -> bool:
     """Return whether the torque of an effect is small beside those of drive and friction law at
-    every sample.
+    every sample; at rest the friction is what it can be.
     """
     if name not in torques:
         return False
-    known = np.abs(torques[DRIVE]) + np.abs(torques[law])
+    known = np.abs(torques[DRIVE]) + np.abs(torques[law]).max()
     return bool((np.abs(torques[name]) < FAINT * known).all())

@@ -161,6 +161,7 @@ SENTENCES: dict[Reason, str] = {
         "'{effect}' is significant, but its torque is nowhere {share:.0%} of that of drive and"
         " friction"
     ),
+    R.NOT_SLIDING: "'{effect}' is significant, but gains nothing where the servo slides",
     R.ONLY_BOUNDS: "it only makes up for bounds",
     # views of the residual
     R.WAVE_IN_TIME: "{frequency:.3g} Hz",
@@ -379,6 +380,13 @@ def _records_lack(facts: Facts) -> str:
     return f"the records lack {' and '.join(facts['what'])}"
 
 
+def _sliding(facts: Facts) -> str:
+    return (
+        f"{_added(facts)}; it shows where the servo slides, by {facts['gain']:.0f} nats, and not in"
+        " the simulated segments"
+    )
+
+
 def _added(facts: Facts) -> str:
     line = f"'{facts['effect']}' added"
     if facts.get("removed"):
@@ -483,6 +491,7 @@ WITH_CONDITIONS: dict[Reason, Callable[[Any], str]] = {
     R.BUDGET_USED: _budget_used,
     R.RECORDS_LACK: _records_lack,
     R.ADDED: _added,
+    R.SLIDING: _sliding,
     R.BOUND: _bound,
     R.STANDS_IN: _stands_in,
     R.SUSPECTED: _suspected,

@@ -1,0 +1,142 @@
+"""The effect that sliding motion shows beyond doubt, in the place of what simulated segments say.
+
+The likelihood of the innovations is exact while the servo slides. That of segments is not where a
+servo sticks in between: what friction does there within a step of the sensor is then most of their
+residual, and hides effects that are seen in the motion at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from scipy.stats import chi2
+
+from bristle.diagnosis.answer import Reason, finding
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise, sliding_fit
+from bristle.diagnosis.selection.candidates import EffectFit, fit_at
+from bristle.diagnosis.selection.criterion import TrialRound, group
+from bristle.diagnosis.selection.start_values import SearchContext
+from bristle.diagnosis.sliding.fit import ITERATIONS, SlidingFit, with_fast_disturbance
+from bristle.diagnosis.sliding.screen import (
+    GROSS_GAIN,
+    Start,
+    best_start,
+    likeliest_beside,
+    sliding_evidence,
+)
+from bristle.diagnosis.sliding.torque import is_faint, sliding_torques
+from bristle.plant.effects import effect as find_effect
+
+MOST_CLIMBED = 6  # effects that are fitted to the end
+
+Found = tuple[str, SlidingFit, Start]
+
+
+def by_sliding(context: SearchContext, latest: TrialRound) -> TrialRound:
+    """Return a round with the effect added that sliding motion shows, and without one that it
+    denies; the same round if it shows none, several alike, or the one that was added.
+    """
+    if latest.said.unfinished or context.options.late:
+        return latest
+    base = sliding_fit(context.dataset, context.fitted.servo, context.fit.values)
+    if base is None:
+        return latest
+    found = _most_likely(context, base, latest)
+    if _is_clear(latest, base, found):
+        return _added(context, latest, base, found[0])
+    if any(_is_denied(latest, base, each) for each in found):
+        return latest.rejected(finding(Reason.NOT_SLIDING, effect=latest.said.added))
+    return latest
+
+
+def _is_clear(latest: TrialRound, base: SlidingFit, found: Sequence[Found]) -> bool:
+    """Return whether the first effect found gains much and more than any of another class, and
+    segments have not added it or one of its class, nor hold one for likely that sliding motion does
+    not show.
+    """
+    if not found or _worth(found[0][1]) < _worth(base) + GROSS_GAIN:
+        return False
+    name, best, _ = found[0]
+    if latest.said.added and group(latest.said.added) == group(name):
+        return False
+    if any(
+        group(other) != group(name) and _worth(fit) > _worth(best) - TIE_NATS
+        for other, fit, _ in found[1:]
+    ):
+        return False
+    shown = [other for other, _, _ in found]
+    return not (latest.best and latest.assessment.accepted and latest.best.name not in shown)
+
+
+def _is_denied(latest: TrialRound, base: SlidingFit, found: Found) -> bool:
+    """Return whether the effect that segments add gains nothing in the motion that its torque would
+    change.
+    """
+    name, fit, _ = found
+    # where one switches, slopes do not lead to the likeliest place
+    if name != latest.said.added or find_effect(name).nonsmooth or find_effect(name).sparse:
+        return False
+    assert latest.best is not None
+    assert latest.best.fit is not None
+    model, over = fit.model, fit.model.over
+    torques = sliding_torques(model.law, model.effects, fit.values | latest.best.fit.values, over)
+    seen = {key: torque[over.counted] for key, torque in torques.items()}
+    return _worth(fit) <= _worth(base) and not is_faint(seen, model.law, name)
+
+
+def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -> list[Found]:
+    """Return the likeliest effects that sliding motion shows, and the best of a round if it shows
+    that, each fitted to the end beside the model; the likeliest first.
+    """
+    evidence, fast = sliding_evidence(base, context.dataset.turn), with_fast_disturbance(base)
+
+    def screened(name: str) -> tuple[float, str, Start] | None:
+        best = best_start(fast, name, context.start_values(name, evidence))
+        return best and (best[0], name, best[1])
+
+    def fitted(name: str, start: Start) -> Found | None:
+        limits = context.fitted.servo.limits
+        best = likeliest_beside(base, name, [start], limits, ITERATIONS)
+        return best and (name, *best)
+
+    names = [c.name for c in latest.trials if c.fit is not None]
+    shown = [each for each in context.options.map(screened, names) if each is not None]
+    shown.sort(key=lambda each: -each[0])
+    near = {name for _, name, _ in shown[:MOST_CLIMBED]} | {latest.said.best}
+    chosen = [(name, start) for _, name, start in shown if name in near]
+    ends = context.options.map(lambda each: fitted(*each), chosen)
+    return sorted((each for each in ends if each), key=lambda each: -_worth(each[1]))
+
+
+def _worth(fit: SlidingFit) -> float:
+    """Return the log-likelihood less half the Bayesian information criterion's penalty [nats].
+
+    Source: schwarz1978.
+    """
+    return fit.total - 0.5 * len(fit.model.free) * math.log(len(fit.innovations))
+
+
+def _added(
+    context: SearchContext, latest: TrialRound, base: SlidingFit, found: Found
+) -> TrialRound:
+    """Return a round with the effect found added, fitted to the segments from there."""
+    name, best, start = found
+    simulator = context.fitted.servo.simulator(context.fit.simulator.segments, (name,))
+    own = {key: best.values[f"{name}.{key}"] for key in start}
+    place = best.free_values, context.fitted.problem.initial
+    fit = refit_with_noise(context.dataset, fit_at(context, simulator, name, own, place))
+    chosen, gain = EffectFit(name, fit), best.total - base.total
+    trials = tuple(chosen if c.name == name else c for c in latest.trials)
+    # chance, by the ratio of likelihoods, in as many effects as were tried
+    more = len(best.model.free) - len(base.model.free)
+    p = min(1.0, len(trials) * float(chi2.sf(2 * gain, more)))
+    return replace(latest, best=chosen, trials=trials).with_said(
+        best=name,
+        gain=gain,
+        p=p,
+        outcome="added",
+        ties=(),
+        decision=finding(Reason.SLIDING, effect=name, gain=gain),
+    )
