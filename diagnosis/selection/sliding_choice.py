@@ -8,7 +8,7 @@ residual, and hides effects that are seen in the motion at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from scipy.stats import chi2
@@ -52,14 +52,15 @@ def by_sliding(context: SearchContext, latest: TrialRound) -> TrialRound:
 
 
 def _is_clear(latest: TrialRound, base: SlidingFit, found: Sequence[Found]) -> bool:
-    """Return whether the first effect found gains much and more than any of another class, and
-    segments have not added it or one of its class, nor hold one for likely that sliding motion does
-    not show.
+    """Return whether the first effect found gains much and more than any of another class, is not
+    faint, and segments have not added it or one of its class, nor hold one for likely that sliding
+    motion does not show.
     """
     if not found or _worth(found[0][1]) < _worth(base) + GROSS_GAIN:
         return False
     name, best, _ = found[0]
-    if latest.said.added and group(latest.said.added) == group(name):
+    known = latest.said.added and group(latest.said.added) == group(name)
+    if known or not _acts(best, name, best.values):
         return False
     if any(
         group(other) != group(name) and _worth(fit) > _worth(best) - TIE_NATS
@@ -80,10 +81,17 @@ def _is_denied(latest: TrialRound, base: SlidingFit, found: Found) -> bool:
         return False
     assert latest.best is not None
     assert latest.best.fit is not None
+    return _worth(fit) <= _worth(base) and _acts(fit, name, fit.values | latest.best.fit.values)
+
+
+def _acts(fit: SlidingFit, name: str, values: Mapping[str, float]) -> bool:
+    """Return whether the torque of an effect with these values is more than faint somewhere in the
+    sliding motion.
+    """
     model, over = fit.model, fit.model.over
-    torques = sliding_torques(model.law, model.effects, fit.values | latest.best.fit.values, over)
+    torques = sliding_torques(model.law, model.effects, values, over)
     seen = {key: torque[over.counted] for key, torque in torques.items()}
-    return _worth(fit) <= _worth(base) and not is_faint(seen, model.law, name)
+    return not is_faint(seen, model.law, name)
 
 
 def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -> list[Found]:

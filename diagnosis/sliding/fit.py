@@ -177,7 +177,8 @@ def _scaled(columns: Array) -> Array:
 def evaluate(model: SlidingModel, values: Mapping[str, float], noise: SlidingNoise) -> SlidingFit:
     """Return a model at these parameters."""
     torque, by = model.torque(values)
-    through = KalmanFilter(noise, model.over)
+    with np.errstate(over="ignore", invalid="ignore"):  # far from any servo: no likelihood
+        through = KalmanFilter(noise, model.over)
     e, own = through.innovations(model.over.measured, torque)
     slopes = np.column_stack([through.columns(by), own[:, 2:]])
     variance_slopes = np.zeros_like(slopes)

@@ -91,7 +91,7 @@ def test_initial_states_are_refined_beside_free_play_alone(monkeypatch, play, st
     context = SimpleNamespace(
         fit=model, fitted=SimpleNamespace(problem=None, fit=model, servo=servo)
     )
-    point, taken = candidates._fit_at(context, "simulator", "bias", {}, ({}, "states"))
+    point, taken = candidates.fit_at(context, "simulator", "bias", {}, ({}, "states"))
     assert taken == steps
     assert (point.simulator, point.initial) == ("simulator", "states")
     assert point.values["J"] == 0.01
