@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from bristle.common.metrics import NORMAL_95
@@ -94,7 +95,8 @@ def seen_controller(model: Model, records: Sequence[Record]) -> SeenController |
         for name, each in _gains(model, recorded, best).items()
         if _is_within(IDLE.get(name, 0.0), each)
     }
-    return _seen(model, recorded, recorded.likeliest(set(best.parts) - idle) if idle else best)
+    best = recorded.likeliest(set(best.parts) - idle) if idle else best
+    return _seen(model, recorded, recorded.refined(best))
 
 
 def _seen(model: Model, recorded: _Recorded, law: _Law) -> SeenController:
@@ -199,6 +201,19 @@ class _Recorded:
     def likeliest(self, parts: Collection[str]) -> _Law:
         """Return the likeliest of them."""
         return min(self.laws(parts), key=lambda law: law.left * (LATE_PRICE if law.late else 1.0))
+
+    def refined(self, law: _Law) -> _Law:
+        """Return a law with the likeliest lag between the neighbours of its own."""
+        ends = [0.0, *CONTROLLER_LAGS, CONTROLLER_LAGS[-1]]
+        k = 1 + CONTROLLER_LAGS.index(law.lag)
+
+        def at(lag: float) -> _Law:
+            return self._fitted(law.parts, float(lag), law.late, law.delay)
+
+        found = minimize_scalar(
+            lambda lag: at(lag).left, bounds=(ends[k - 1], ends[k + 1]), method="bounded"
+        )
+        return min(law, at(found.x), key=lambda each: each.left)
 
     def asked_beyond(self, law: _Law) -> float:
         """Return how much of a large input the law asks for there, median."""

@@ -157,12 +157,12 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
     below = [rows[k] for k in filled[len(filled) // 2 :]]
     width = _width(below)
     numeric = _numeric(below, width)
-    first = next((k for k in filled if _is_data(rows[k], width, numeric)), None)
-    if first is None:
+    data = [k for k in filled if _is_data(rows[k], width, numeric)]
+    if not data:
         raise BristleError(
             f"record {path}: no data below the line of column names; write numbers there"
         )
-    above, first = _above(rows, [k for k in filled if k <= first])
+    above, first = _above(rows, filled, data, numeric)
     header, units = _header(rows, above, mark, lines, width)
     # a separator at the end of each line makes a column without a name
     spare = all(not row[-1].strip() for row in below if len(row) == width)
@@ -177,12 +177,15 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
     return _Heading(names, dict(filter(all, zip(names, units, strict=False))), first)
 
 
-def _above(rows: Rows, places: list[int]) -> tuple[list[int], int]:
-    """Return the places of the rows above the numbers, and the first of the numbers: samples
-    without a value are some, too.
+def _above(
+    rows: Rows, filled: Sequence[int], data: Sequence[int], numeric: Sequence[int]
+) -> tuple[list[int], int]:
+    """Return the places of the rows above the numbers, and the first of the numbers: samples that
+    lack values are some, too.
     """
-    *above, first = places
-    while above and all(map(_blank, rows[above[-1]])):
+    full = next((k for k in data if _is_full(rows[k], numeric)), data[0])
+    *above, first = [k for k in filled if k <= full]
+    while above and (above[-1] in data or all(map(_blank, rows[above[-1]]))):
         first = above.pop()
     return above, first
 
@@ -237,6 +240,13 @@ def _is_data(row: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
         return False
     fields = [row[j] for j in numeric if not _blank(row[j])]
     return bool(fields) and all(map(_usable, fields))
+
+
+def _is_full(row: Sequence[str], numeric: Sequence[int]) -> bool:
+    """Return whether a row has most of its numbers; one above the names, such as ``Sampling time;1
+    ms;;``, has a single one.
+    """
+    return 2 * sum(not _blank(row[j]) for j in numeric) >= len(numeric)
 
 
 def _fields(rows: Rows, k: int, mark: str, lines: Sequence[str], width: int) -> list[str]:

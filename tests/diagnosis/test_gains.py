@@ -41,9 +41,9 @@ def goals(n, rng):
     return goal, np.diff(goal, prepend=goal[0]) / H
 
 
-def follows(gains, velocity=False, seed=0, seconds=12.0, noise=0.0):
+def follows(gains, velocity=False, seed=0, seconds=12.0, noise=0.0, lag=2e-3):
     """Return a record of a servo that follows a goal by a controller of these gains [A]."""
-    n, rng, lag, parts = round(seconds / H), np.random.default_rng(seed), 2e-3, 4
+    n, rng, parts = round(seconds / H), np.random.default_rng(seed), 4
     goal, rate = goals(n, rng)
     own = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "forward": 1.0, "weight": 1.0, "limit": 1e9, "late": 1}
     own |= gains
@@ -107,6 +107,13 @@ def test_the_gains_of_a_position_loop(gains):
         if "kd" in gains:
             low, high = found.gains["kd"].ci95
             assert low < gains["kd"] < high
+
+
+def test_a_lag_between_those_that_are_tried_is_found():
+    found = seen({"kp": 60.0, "kd": 2.0, "ki": 100.0, "late": 0}, lag=2.7e-3)
+    assert found.lag == pytest.approx(2.7e-3, rel=0.01)
+    for name, true in (("kp", 60.0), ("kd", 2.0), ("ki", 100.0)):
+        assert found.gains[name].value == pytest.approx(true, rel=0.01)
 
 
 def test_units_are_those_of_the_input_that_was_measured():

@@ -30,10 +30,11 @@ def same(shown: str, printed: str) -> None:
     np.testing.assert_allclose(numbers[1], numbers[0], rtol=TOLERANCE, atol=0.02)
 
 
-def test_all_nine_are_there():
+def test_all_ten_are_there():
     assert PAGES == [
         "arm.md",
         "diagnose.md",
+        "drive_trace.md",
         "fmu.md",
         "log_files.md",
         "own_observer.md",

@@ -203,6 +203,22 @@ def test_a_rate_above_the_numbers(line, rate, tmp_path):
     assert read_columns(path).rate == (rate if rate is None else pytest.approx(rate))
 
 
+def test_lines_above_the_names_may_be_as_wide_as_the_table(tmp_path):
+    """As an export fills them up; a number in one of them makes it no sample."""
+    path = tmp_path / "trace.csv"
+    path.write_text("Trace;axis;;\nSampling time;1 ms;;\nState;Mode;q;tau\na;8;1,5;2\nb;8;;4\n")
+    columns = read_columns(path)
+    assert columns.rate == pytest.approx(1000.0)
+    np.testing.assert_array_equal(columns["tau"], [2.0, 4.0])
+    assert set(columns.unusable) == {"State"}
+
+
+def test_samples_that_lack_values_begin_the_table(tmp_path):
+    path = tmp_path / "late.csv"
+    path.write_text("t;a;b;c\n0;;;\n1;;;\n2;5;6;7\n3;5;6;7\n4;5;6;8\n")
+    np.testing.assert_array_equal(read_columns(path)["t"], [0, 1, 2, 3, 4])
+
+
 def test_a_rate_and_named_channels_in_a_mat_file(tmp_path):
     from scipy.io import savemat
 
