@@ -112,7 +112,8 @@ def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -
     names = [c.name for c in latest.trials if c.fit is not None]
     shown = [each for each in context.options.map(screened, names) if each is not None]
     shown.sort(key=lambda each: -each[0])
-    near = {name for _, name, _ in shown[:MOST_CLIMBED]} | {latest.said.best}
+    hopeful = [name for gain, name, _ in shown if gain > TIE_NATS]
+    near = {*hopeful[:MOST_CLIMBED], latest.said.best}
     chosen = [(name, start) for _, name, start in shown if name in near]
     ends = context.options.map(lambda each: fitted(*each), chosen)
     return sorted((each for each in ends if each), key=lambda each: -_worth(each[1]))

@@ -154,14 +154,19 @@ class SlidingFit:
         own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {f.name: float(sd) for f, sd in zip(self.model.free, own, strict=False)}
 
+    @cached_property
+    def _own(self) -> Array:
+        """Directions in which the free parameters move the whitened innovations (counted, k)."""
+        scale = np.sqrt(self.filter.variance)[:, None]
+        return np.linalg.qr(_scaled(self.slopes[:, : len(self.model.free)] / scale))[0]
+
     def regress(self, torques: Array) -> tuple[Array, float]:
         """Return coefficients (k,) of torques (samples, k) [N.m] beside the free parameters, and
         their gain [nats].
         """
-        scale = np.sqrt(self.filter.variance)[:, None]
+        scale, own = np.sqrt(self.filter.variance)[:, None], self._own
         # what torques add to the prediction the measurement lacks without them
         columns = -self.filter.columns(np.ascontiguousarray(torques.T)) / scale
-        own = np.linalg.qr(_scaled(self.slopes[:, : len(self.model.free)] / scale))[0]
         left = self.innovations / scale[:, 0]
         left, columns = left - own @ (own.T @ left), columns - own @ (own.T @ columns)
         size = np.sqrt(np.square(columns).sum(axis=0)) + 1e-300
