@@ -62,11 +62,11 @@ def _is_clear(latest: TrialRound, base: SlidingFit, found: Sequence[Found]) -> b
     known = latest.said.added and group(latest.said.added) == group(name)
     if known or not _acts(best, name, best.values):
         return False
-    if any(
-        group(other) != group(name) and _worth(fit) > _worth(best) - TIE_NATS
-        for other, fit, _ in found[1:]
-    ):
-        return False
+    for other, fit, _ in found[1:]:
+        # what segments add as well has two likelihoods on its side
+        margin = GROSS_GAIN if other == latest.said.added else TIE_NATS
+        if group(other) != group(name) and _worth(fit) > _worth(best) - margin:
+            return False
     shown = [other for other, _, _ in found]
     return not (latest.best and latest.assessment.accepted and latest.best.name not in shown)
 
