@@ -138,8 +138,7 @@ def backward_elimination(
     """
     fitted, removed = context.fitted, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
-    added = [name for name in added if name not in certain or name == added[-1]]
-    for name in added[:-1]:
+    for name in (each for each in added[:-1] if each not in certain):
         less = _without(fitted, base, name)
         if (
             not ReferenceModel.of(context.dataset, less.problem, less.fit)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from scipy.stats import chi2
 
 from bristle.diagnosis.answer import Reason, finding
-from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise, sliding_fit
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.selection.candidates import EffectFit, fit_at
 from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchContext
@@ -40,7 +40,7 @@ def by_sliding(context: SearchContext, latest: TrialRound) -> TrialRound:
     """
     if latest.said.unfinished or context.options.late:
         return latest
-    base = sliding_fit(context.dataset, context.fitted.servo, context.fit.values)
+    base = context.slides
     if base is None:
         return latest
     found = _most_likely(context, base, latest)

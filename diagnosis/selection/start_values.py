@@ -130,6 +130,11 @@ class SearchContext:
         return fits_poorly(self.dataset, self.fit)
 
     @cached_property
+    def slides(self) -> SlidingFit | None:
+        """The model fitted to where the records slide; None where that does not show it."""
+        return sliding_fit(self.dataset, self.fitted.servo, self.fit.values)
+
+    @cached_property
     def evidence(self) -> Evidence:
         """What effects derive their start values from."""
         return evidence_of(self.dataset, self.fit, self.response)
@@ -223,8 +228,7 @@ def joint_starts_of(
     since the fitted parameters make up for the missing effect. If the model has `diverged`, starts
     with less dry friction are added.
     """
-    fitted = context.fitted
-    slides = sliding_fit(context.dataset, fitted.servo, fitted.fit.values)
+    fitted, slides = context.fitted, context.slides
     usual = (
         (lambda name: sliding_starts(context, slides, name)) if slides else _nominal_starts(context)
     )
