@@ -720,6 +720,7 @@ class SeenController:
     """The controller that made the input of a goal: its gains, by the names of `[controller]`, and
     the share of the input that its law explains.
 
+    "ahead", among them: samples by which the goal's rate leads that of the last two samples.
     `lag`, `delay` [s]: of the output that it sees, and from there to the input. `of`: whether its
     goal is a "position" or a "velocity"; then kd is its gain, and kp that over the integral.
     """

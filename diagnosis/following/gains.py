@@ -45,15 +45,21 @@ ONES: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]] = {
     "kd": ({"kd": 1.0}, {}),
     "ki": ({"ki": 1.0}, {}),
     "forward": ({"kd": 1.0, "forward": 1.0}, {"kd": 1.0}),
+    "ahead": ({"kd": 1.0, "forward": 1.0}, {"kd": 1.0}),
     "friction": ({"friction": 1.0}, {}),
 }
+AHEAD = "ahead"  # samples by which the goal's rate leads that of the last two samples
 IDLE = {"weight": 1.0}  # of a part that is not there; 0 of the others
-RELATIVE_TO = {"forward": "kd", "weight": "kp"}  # weights, and the gains that they are relative to
+RELATIVE_TO = {
+    "forward": "kd",
+    AHEAD: "forward",
+    "weight": "kp",
+}  # weights, and the gains that they are relative to
 WAYS = tuple(product(CONTROLLER_LAGS, (True, False), CONTROLLER_DELAYS))
 TINY_SHARE = 1e-12  # of the input's power: least that is left
 GAIN_PARTS = 60  # of the records whose errors count as independent
 # what is added to a proportional controller, one after the other, each as far as it shows
-FURTHER_PARTS = (("kd",), ("kd", "forward"), ("ki",), ("weight",), ("friction",))
+FURTHER_PARTS = (("kd",), ("kd", "forward"), (AHEAD,), ("ki",), ("weight",), ("friction",))
 
 
 @dataclass(frozen=True)
@@ -151,6 +157,8 @@ def _with(one: Estimate, other: Estimate) -> Estimate:
 
 def _unit(model: Model, name: str) -> str:
     """Return the unit of a gain, for the input that was measured."""
+    if name == AHEAD:
+        return "1"
     [parameter] = [p for p in CONTROLLER.parameters if p.name == f"{CONTROLLER.name}.{name}"]
     unit = parameter.unit.replace("N.m", model.input_unit)
     return unit.replace("rad", "m") if model.linear else unit
@@ -195,8 +203,11 @@ class _Recorded:
 
     def laws(self, parts: Collection[str]) -> list[_Law]:
         """Return the laws of a proportional controller with these parts, of all lags and delays."""
-        names = tuple(name for name in ONES if name in {"kp", *parts})
-        return [self._fitted(names, *way) for way in WAYS]
+        names = list[str]()
+        for name in ONES:  # each after what it is relative to
+            if name in {"kp", *parts} and RELATIVE_TO.get(name, "kp") in {"kp", *names}:
+                names.append(name)
+        return [self._fitted(tuple(names), *way) for way in WAYS]
 
     def likeliest(self, parts: Collection[str]) -> _Law:
         """Return the likeliest of them."""
@@ -270,8 +281,14 @@ class _Recorded:
         over, found = self._seen(lag, late), []
         for name in names:
             more, less = (_asked({"kp": 0.0, "forward": 0.0, **own}, over) for own in ONES[name])
-            found.append(more - less)
+            part = more - less
+            found.append(self._next(part) - part if name == AHEAD else part)
         return np.column_stack(found)
+
+    def _next(self, x: Array) -> Array:
+        """Return a column (samples,) a sample ahead, in each record."""
+        last = np.diff(self.over.record, append=-1) != 0
+        return np.where(last, x, np.roll(x, -1))
 
     def _seen(self, lag: float, late: bool) -> Stretches:
         """Return the records as a controller sees them: with the velocity of the last two samples,

@@ -46,7 +46,8 @@ def follows(gains, velocity=False, seed=0, seconds=12.0, noise=0.0, lag=2e-3):
     n, rng, parts = round(seconds / H), np.random.default_rng(seed), 4
     goal, rate = goals(n, rng)
     own = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "forward": 1.0, "weight": 1.0, "limit": 1e9, "late": 1}
-    own |= gains
+    own |= {"ahead": 0.0} | gains
+    rate = rate + own["ahead"] * (np.roll(rate, -1) - rate)
     q = v = seen = total = d = before = 0.0
     u, y = np.zeros(n), np.zeros(n)
     for k in range(n):
@@ -89,6 +90,8 @@ def seen(gains, velocity=False, **how):
         {"kp": 60.0, "kd": 2.0, "forward": 0.0},
         {"kp": 60.0, "kd": 2.0, "ki": 100.0},
         {"kp": 60.0, "kd": 2.0, "ki": 100.0, "late": 0},
+        {"kp": 60.0, "kd": 2.0, "forward": 1.0, "ahead": 1.0},
+        {"kp": 60.0, "kd": 2.0, "forward": 1.0, "ahead": 0.5, "ki": 100.0},
         {"kp": 60.0, "kd": 2.0, "weight": 0.7},
         {"kp": 60.0, "kd": 2.0, "ki": 100.0, "limit": 6.0},
     ],
