@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime, timedelta
@@ -14,6 +15,7 @@ import numpy as np
 
 from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, must_fit
 from bristle.common.errors import BristleError
+from bristle.records.formats.matlab_objects import read_objects
 from bristle.records.formats.rate import rate_in
 from bristle.records.formats.text import read_rows
 
@@ -27,6 +29,8 @@ MAT_ORDERS: dict[Literal["little", "big"], bytes] = {
     "little": b"\x00\x01IM",
     "big": b"\x01\x00MI",
 }  # end of that header: version and order of the bytes
+# what holds the objects of classes: in MAT files before 7.3, and in HDF5
+MAT_OBJECTS, HDF5_OBJECTS = "__function_workspace__", "#subsystem#"
 UNPACKED_CHUNK = 2**20  # bytes unpacked at a time
 
 
@@ -37,10 +41,14 @@ def read_mat(path: Path) -> Columns:
 
     with path.open("rb") as stream:
         if _is_hdf5(stream):
-            return read_hdf5(path)
+            return read_objects(path, _flat) if _holds_objects(path) else read_hdf5(path)
         must_fit(path, _unpacked_size(stream))
         stream.seek(0)
-        found = loadmat(stream, simplify_cells=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of objects, which are read below
+            found = loadmat(stream, simplify_cells=True)
+    if MAT_OBJECTS in found:
+        return read_objects(path, _flat)
     flat = dict(_flat({k: v for k, v in found.items() if not k.startswith("__")}))
     columns = columns_of(path, _named_channels(flat), "(:,{})")
     columns.rate = _own_rate(flat)
@@ -82,6 +90,13 @@ def _is_hdf5(stream: BinaryIO) -> bool:
         if stream.read(len(HDF5_MAGIC)) == HDF5_MAGIC:
             return True
     return False
+
+
+def _holds_objects(path: Path) -> bool:
+    import h5py
+
+    with path.open("rb") as stream, h5py.File(stream, "r") as file:
+        return HDF5_OBJECTS in file
 
 
 def _unpacked_size(stream: BinaryIO) -> int:
