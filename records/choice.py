@@ -312,8 +312,8 @@ def _time_unit(values: Array) -> str:
 def _inputs(files: Files, asked: str | None) -> list[Candidate]:
     found = []
     for h in files.varying():
-        if h.setpoint and h.quantity == "position" and asked in (None, h.name):
-            found += [goal] if (goal := _goal(files, h)) else []
+        if h.setpoint and h.quantity in ("position", "velocity") and asked in (None, h.name):
+            found += [goal] if (goal := _goal(files, h, h.quantity)) else []
             continue
         if asked not in (None, h.name) or (
             asked is None
@@ -356,12 +356,12 @@ def fitted(candidate: Candidate, linear: bool) -> Candidate:
     )
 
 
-def _goal(files: Files, h: Heading) -> Candidate | None:
-    """Return a position that a controller follows, in the unit of the position if it has none."""
+def _goal(files: Files, h: Heading, kind: str) -> Candidate | None:
+    """Return what a controller follows, a position in the unit of the position if it has none."""
     position = files.motion.goals.get(h.name)
     unit = h.unit or (files.heading(position).unit if position else None)
-    found = _output(files, replace(h, unit=unit, setpoint=False), "position")
-    return found and replace(found, kind=SETPOINT, rank=SETPOINT_RANK)
+    found = _output(files, replace(h, unit=unit, setpoint=False), kind)
+    return found and replace(found, kind=SETPOINT, rank=SETPOINT_RANK + RANKS[kind])
 
 
 # -- output ----------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from bristle.records.sensor import (
     repaired,
     report_steps,
 )
+from bristle.records.signed import signed_input
 
 # SI: no rig gives a smaller or larger value, and the square of one is not finite
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30
@@ -209,6 +210,7 @@ def _must_be_layout(layout: object) -> None:
 
 def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     columns = columns.at(layout.time.column) if layout.time else columns
+    columns = signed_input(layout, columns)
     found = {
         key: si_column(
             f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit
@@ -424,6 +426,8 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
     h = period_of(raw, needs.shortest_period, needs.longest_period)
     if layout.differences:
         raw.y = summed(raw.y, h)
+    if layout.goal_is_rate:
+        raw.u = summed(raw.u, h)
     resolution = compare_resolution(layout, raw)
     wrapped = needs.identification and repaired(layout, raw, resolution)
     borders = (np.flatnonzero(np.diff(raw.time) > GAP_INTERVALS * h) + 1).tolist()

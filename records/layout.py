@@ -59,7 +59,8 @@ class InputTable(Column):
 
     kind: Literal["torque", "force", "voltage", "current", "setpoint"]
     """What the input is: `torque` and `force` fit an output that turns and one that moves, the
-    others either; `setpoint` is the position that a controller follows, in model files alone.
+    others either; `setpoint` is the position, or by its unit the velocity, that a controller
+    follows, in model files alone.
     """
     goal: Column | None = None
     """Column of the goal of the output, from which a controller made this input: a table
@@ -119,7 +120,7 @@ class Layout:
     rate : float or None
         Sampling rate [Hz] of records without a time.
     input_kind : {"torque", "force", "voltage", "current", "setpoint"}
-        What the input is; a setpoint is the position that a controller follows.
+        What the input is; a setpoint is what a controller follows.
     output_kind : {"position", "velocity"}
         What the output is.
     resolution : float or None
@@ -137,6 +138,8 @@ class Layout:
         A second position, of the load.
     goal : Column or None
         A goal of the output, from which a controller made the input.
+    goal_is_rate : bool
+        Whether the column of a setpoint holds a velocity; it is summed to a position.
     """
 
     time: Column | None = None
@@ -152,6 +155,7 @@ class Layout:
     known: Mapping[str, Column] = field(default_factory=dict)
     load: Column | None = None
     goal: Column | None = None
+    goal_is_rate: bool = False
 
     @property
     def input_unit(self) -> str:
@@ -179,12 +183,13 @@ class Layout:
         """
         read = _output_unit("velocity" if self.differences else self.output_kind, self.linear)
         found = {} if self.time is None else {"time": (self.time, "s")}
+        rate = _output_unit("velocity", self.linear)
         found |= {
-            "input": (self.input, self.input_unit),
+            "input": (self.input, rate if self.goal_is_rate else self.input_unit),
             "output": (self.output, read),
         }
         if self.velocity is not None:
-            found["velocity"] = self.velocity, _output_unit("velocity", self.linear)
+            found["velocity"] = self.velocity, rate
         if self.load is not None:
             found[LOAD] = self.load, _output_unit("position", self.linear)
         if self.goal is not None:
@@ -221,20 +226,25 @@ def layout_of(
     if differences and table.output.resolution is not None:
         said = "the step of the position follows from the velocities; leave it out"
         raise mistake(where, f"{prefix}output.resolution", table.output.resolution, said)
+    goal_is_rate = table.input.kind == SETPOINT and _fits(
+        table.input, _output_unit("velocity", linear)
+    )
+    summed = differences or (goal_is_rate and table.output.kind == "velocity")
     layout = Layout(
         time=_time(table.time, where, prefix),
         rate=_rate(table.time, where, prefix),
         input=_column(table.input),
         input_kind=table.input.kind,
         output=_column(table.output),
-        output_kind="position" if differences else table.output.kind,
+        output_kind="position" if summed else table.output.kind,
         linear=linear,
-        resolution=_resolution(table.output, where, prefix, linear),
+        resolution=None if summed else _resolution(table.output, where, prefix, linear),
         velocity=None if velocity is None else _column(velocity),
-        differences=differences,
+        differences=summed,
         known=_known(known, where),
         load=None if table.output.load is None else _column(table.output.load),
         goal=None if table.input.goal is None else _column(table.input.goal),
+        goal_is_rate=goal_is_rate,
     )
     if layout.goal is not None and layout.input_kind == SETPOINT:
         said = "the input is the goal itself; give the column of a torque, current or voltage"
@@ -251,6 +261,14 @@ def layout_of(
         )
     _must_differ(layout, where, prefix)
     return layout
+
+
+def _fits(column: Column, unit: str) -> bool:
+    try:
+        factor_to(column.unit, column.scale, unit)
+    except BristleError:
+        return False
+    return True
 
 
 def _must_differ(layout: Layout, where: Path | str, prefix: str) -> None:

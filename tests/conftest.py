@@ -18,8 +18,12 @@ from zlib import crc32
 
 import pytest
 
-from bristle.common.errors import BristleError
-from bristle.model.compiler import FLAGS_VARIABLE
+# before NumPy: the matrices of most tests are small, and more threads only wait for each other
+for name in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{name}_NUM_THREADS", "1")
+
+from bristle.common.errors import BristleError  # noqa: E402  # after that
+from bristle.model.compiler import FLAGS_VARIABLE  # noqa: E402
 
 ONE_SLOW_IN = 32  # of all slow tests, a share has one in so many
 SCENARIO = """

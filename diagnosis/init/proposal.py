@@ -11,6 +11,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
@@ -119,7 +120,8 @@ def propose(
     times, inputs, outputs = _candidates_of(files, asked, _rate(rate))
     best, doubts = _best(files.tables, times[0], inputs, outputs)
     best, sign_doubt = _with_sign(best)
-    seen = _servo_of(best)
+    with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait
+        seen = _servo_of(best)
     # what was not chosen and what is uncertain
     others = {
         "time": tuple(times[1:]),

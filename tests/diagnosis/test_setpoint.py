@@ -76,6 +76,41 @@ def records_of(gains, h=2e-3, seconds=14.0, extra=lambda theta: 0.0):
     return model, records_from_arrays(model, columns)
 
 
+def driven_at_speed(goal, h, gains, seed):
+    """Return the velocity of a servo in a PI loop of it, as differences of the encoder's readings;
+    the controller acts at each sample.
+    """
+    rng, dt = np.random.default_rng(seed), h / 10
+    theta = v = integral = before = noise = 0.0
+    out = np.zeros(len(goal))
+    for k, r in enumerate(goal):
+        reading = STEP * math.floor(theta / STEP)
+        out[k] = (reading - before) / h if k else 0.0
+        before = reading
+        torque = gains["kd"] * (r - out[k]) + integral
+        integral += gains["kp"] * (r - out[k]) * h
+        for _ in range(10):
+            noise += 0.02 * (rng.normal() * 0.02 - noise)
+            free = v + dt / TRUE["J"] * (torque + noise - TRUE["a2"] * v)
+            hold = dt / TRUE["J"] * TRUE["Fc"]
+            v = 0.0 if abs(free) <= hold else free - math.copysign(hold, free)
+            theta += dt * v
+    return out
+
+
+def at_speed(gains, seconds=14.0, h=2e-3):
+    """Return a model of a velocity loop, and the columns of two records."""
+    tree = deepcopy(TREE)
+    tree["input"]["unit"] = "rad/s"
+    tree["output"] = {"column": "speed", "kind": "velocity", "unit": "rad/s"}
+    columns = []
+    for k in range(2):
+        goal = 1.5 * goal_of(np.random.default_rng(20 + k), round(seconds / h), h)
+        time = 100.0 * k + h * np.arange(len(goal))
+        columns.append((f"run {k}", time, goal, driven_at_speed(goal, h, gains, k)))
+    return Model.from_dict(tree), columns
+
+
 # -- the model file --------------------------------------------------------------------------------
 def test_a_model_file_with_a_setpoint_reads_back():
     tree = deepcopy(TREE) | {"controller": {"kp": 4.0, "limit": "0.8 N.m"}}
@@ -98,6 +133,18 @@ def test_a_linear_axis_has_forces():
     model = Model.from_dict(tree)
     assert (model.input_unit, model.drive, model.controller) == ("m", "force", {})
     assert model.unit("controller.kp") == "N/m"
+
+
+def test_a_goal_in_the_unit_of_a_velocity_is_summed_as_its_output_is():
+    model, columns = at_speed({"kp": 6.0, "kd": 0.3}, seconds=3.0)
+    [first, _] = records_from_arrays(model, columns)
+    _, time, goal, speed = columns[0]
+    h = time[1] - time[0]
+    assert np.diff(first.u) == pytest.approx(h * goal[1:])
+    assert np.diff(first.y) == pytest.approx(h * speed[1:], abs=1e-9)
+    again = Model.from_dict(tomllib.loads(model_text(model)))
+    assert (again.goal_is_rate, again.differences, again.output_kind) == (True, True, "position")
+    assert again.unit("controller.kp") == "N.m/rad"
 
 
 @pytest.mark.parametrize(
@@ -161,6 +208,17 @@ def test_its_structure_and_its_gains_are_found(gains):
     for name, near in (("ki", 0.05), ("limit", 0.15)):
         if name in gains:
             assert found[name] / found["kp"] == pytest.approx(gains[name] / 6.0, rel=near)
+
+
+@pytest.mark.slow
+def test_a_velocity_loop_is_found_from_goal_and_velocity_alone():
+    gains = {"kp": 6.0, "kd": 0.3}  # its integral and proportional gain
+    model, columns = at_speed(gains)
+    records = records_from_arrays(model, columns)
+    found = controllers(model, slides_of(dataset_of(model, records)))[0].controller
+    assert found["kp"] == pytest.approx(gains["kp"], rel=0.25)
+    assert found["kd"] / found["kp"] == pytest.approx(gains["kd"] / gains["kp"], rel=0.1)
+    assert found.get("ki", 0.0) == 0.0
 
 
 def test_what_is_known_stays():
@@ -232,3 +290,18 @@ def test_goal_and_position_alone_are_proposed_as_a_setpoint(tmp_path):
     assert written.parameters["coulomb.Fc"] / found.controller["kp"] == pytest.approx(
         TRUE["Fc"] / 6.0, rel=0.2
     )
+
+
+def test_goal_and_velocity_alone_are_proposed_as_a_setpoint(tmp_path):
+    """Explained by inertia and friction, a goal of the velocity would pass for what drives it."""
+    gains = {"kp": 6.0, "kd": 0.3}
+    _, columns = at_speed(gains, seconds=8.0)
+    path = tmp_path / "log.csv"
+    table = np.column_stack([columns[0][1], np.rad2deg(columns[0][2:]).T])
+    header = "time [s],target speed [deg/s],speed [deg/s]"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    for asked in (None, {"input": "target speed [deg/s]"}):
+        found = propose([path], asked)
+        assert (found.input.kind, found.input.column.unit) == ("setpoint", "deg/s")
+        assert found.output.column.column == "speed [deg/s]"
+        assert found.controller["kd"] * TRUE["J"] == pytest.approx(gains["kd"], rel=0.3)
