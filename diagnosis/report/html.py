@@ -179,7 +179,7 @@ def _model(diagnosis: Diagnosis, choose: str | None) -> dict[str, Any]:
         columns[f"with {name}" + (" (chosen)" if name == choose else "")] = estimates
     units = {name: diagnosis.model.unit(name) for name in diagnosis.model.values}
     units |= {name: e.unit for column in columns.values() for name, e in column.items()}
-    excited = {key: each for key, each in diagnosis.excitation.items() if each != ""}
+    excited = {key: each for key, each in diagnosis.excitation.items() if each not in ("", [])}
     return {
         "columns": columns,
         "units": units,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 from bristle.diagnosis.estimation.fitted_model import (
@@ -20,6 +20,7 @@ from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.criterion import ReferenceModel
 from bristle.diagnosis.selection.start_values import SearchContext
+from bristle.diagnosis.sliding.torque import is_faint, sliding_torques
 from bristle.plant.effects import effect as find_effect
 
 
@@ -131,23 +132,33 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
 def backward_elimination(
     context: SearchContext, base: FittedModel, level: float, certain: Collection[str] = ()
 ) -> tuple[FittedModel, list[str]]:
-    """Return the model without the effects that do not meet the criterion beside the last one, and
-    their names; those that are `certain` stay.
+    """Return the model without the effects that are faint or do not meet the criterion beside the
+    last one, and their names; those that are `certain` need not meet it.
 
     `level` is the gain that chance reaches [nats].
     """
     fitted, removed = context.fitted, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
-    for name in (each for each in added[:-1] if each not in certain):
+    faint = set(_faint(context, added[:-1]))
+    for name in (each for each in added[:-1] if each in faint or each not in certain):
         less = _without(fitted, base, name)
         if (
-            not ReferenceModel.of(context.dataset, less.problem, less.fit)
+            name in faint
+            or not ReferenceModel.of(context.dataset, less.problem, less.fit)
             .assess(fitted.fit, level)
             .accepted
         ):
             fitted = less
             removed.append(name)
     return fitted, removed
+
+
+def _faint(context: SearchContext, names: Collection[str]) -> Iterator[str]:
+    """Give those of some effects whose torque is small beside others at every sample."""
+    servo, over = context.fitted.servo, context.dataset.stretches
+    values = {**servo.fixed, **context.fit.values}
+    torques = sliding_torques(servo.law, servo.effects, values, over)
+    yield from (name for name in names if is_faint(torques, servo.law, name))
 
 
 def _without(fitted: FittedModel, base: FittedModel, name: str) -> FittedModel:

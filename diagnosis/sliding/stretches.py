@@ -65,6 +65,15 @@ class Stretches:
         return before
 
     @cached_property
+    def halfway(self) -> tuple[Array, Array]:
+        """Position and velocity between each sample and the next (samples,): what acts in between
+        is known by its mean.
+        """
+        last = np.diff(self.record, append=-1) != 0
+        v = np.where(last, self.v, (self.v + np.roll(self.v, -1)) / 2)
+        return self.theta + self.h / 2 * v, v
+
+    @cached_property
     def error_sum(self) -> Array:
         """Integral of input less position since the start of the record [rad.s]."""
         error = self.u - self.measured

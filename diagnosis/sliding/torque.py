@@ -108,7 +108,9 @@ def sliding_torque(
     function, usual, defaults = _function(law, effects, free)
     known = {**defaults, **values, "sample_time": over.h}
     shown = CONTROLLER.name in effects
-    motion: list[Array | float] = [over.theta, over.v, over.u, over.time]
+    # a controller holds from sample to sample what it sees there
+    theta, v = (over.theta, over.v) if shown else over.halfway
+    motion: list[Array | float] = [theta, v, over.u, over.time]
     motion += [getattr(over, name) if shown else 0.0 for name in RECORDED]
     beside = [over.known.get(name, start) for name, start in usual.items()]
     torque, *slopes = (

@@ -16,6 +16,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effects
+from bristle.plant.servo import A2, J
 
 Estimates = Mapping[str, Estimate]
 
@@ -37,8 +38,9 @@ def from_sliding_motion(case: SearchedCase, answer: Diagnosis, _: Budget) -> Dia
 def sliding_estimates(
     dataset: Dataset, model: Model, fitted: FittedModel, before: Estimates
 ) -> dict[str, Estimate]:
-    """Return estimates with those in their place that the sliding motion gives with shorter
-    intervals.
+    """Return estimates with those of the sliding motion in their place: of inertia, viscous and dry
+    friction, whose intervals by segments are too short where bristles or the encoder's steps decide
+    when the servo sticks, and of all that it shows with shorter intervals.
 
     The others keep their values: what acts at low speed, such as Stribeck friction, does not show
     while the servo slides, and effects that switch have likelihoods without useful slopes.
@@ -54,7 +56,11 @@ def sliding_estimates(
             return dict(before)
         known = slides.deviations()
         found = {name: _estimate(model, slides, name, known[name]) for name in shown}
-        closer = {name for name in shown if _width(found[name]) <= _width(before[name])}
+        closer = {
+            name
+            for name in shown
+            if _is_of_motion(name) or _width(found[name]) <= _width(before[name])
+        }
         if closer == shown:
             return {**before, **found}
         shown = closer
@@ -73,6 +79,10 @@ def _estimate(model: Model, slides: SlidingFit, name: str, deviation: float) -> 
     ends = (value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
     ci95 = float(max(ends[0], low)), float(min(ends[1], high))
     return Estimate(float(value), model.unit(name), ci95, free.at_bound(value))
+
+
+def _is_of_motion(parameter: str) -> bool:
+    return parameter in (J.name, A2.name) or parameter.endswith(".Fc")
 
 
 def _switches(parameter: str) -> bool:
