@@ -621,7 +621,8 @@ class RecordAgreement:
     """Whether the records agree on the parameters; `gain` of the log-likelihood with parameters of
     its own for each [nats].
 
-    `values`: by the parameters' names, of each record, or of each half of a single one (SI);
+    `slides_agree`: whether the sliding motion of each has the same parameters, whatever segments
+    say. `values`: by the parameters' names, of each record, or of each half of a single one (SI);
     `differs`: the parameter that differs most beside its uncertainty, or an empty text.
     """
 
@@ -630,11 +631,12 @@ class RecordAgreement:
     values: dict[str, dict[str, float | None]]  # None where a record says nothing of a parameter
     units: dict[str, str]
     differs: str
+    slides_agree: bool = False
 
     @property
     def holds(self) -> bool:
         """True if they agree."""
-        return self.gain <= self.level
+        return self.gain <= self.level or self.slides_agree
 
     @property
     def of_halves(self) -> bool:

@@ -225,7 +225,8 @@ def _searched(
 
     def searched(case: PreparedCase) -> SearchOutcome:
         with until(budget.until(COMPARISON_SHARE)):
-            return search(case.dataset, case.base, _reporting(options, tell))
+            own = replace(options, guess=case.model.parameters)
+            return search(case.dataset, case.base, _reporting(own, tell))
 
     while True:
         prepared = prepare(records, notes_of(given, held))

@@ -479,7 +479,7 @@ def _sliding(reading: _Reading, regression: Regression) -> SlidingFit | None:
     fit = fit_sliding(SlidingModel(model.friction, (), free, over, dataset.resolution), values)
     if fit is None:
         return None
-    return with_position_torques(fit, dataset.turn, model.linear)
+    return with_position_torques(fit, dataset.turn, model.linear, model.parameters)
 
 
 def _loop(slides: SlidingFit | None) -> float | None:

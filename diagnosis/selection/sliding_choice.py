@@ -8,7 +8,7 @@ residual, and hides effects that are seen in the motion at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from scipy.stats import chi2
@@ -18,9 +18,10 @@ from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.selection.candidates import EffectFit, fit_at
 from bristle.diagnosis.selection.criterion import TrialRound, group
 from bristle.diagnosis.selection.start_values import SearchContext
-from bristle.diagnosis.sliding.fit import ITERATIONS, SlidingFit, with_fast_disturbance
+from bristle.diagnosis.sliding.fit import ITERATIONS, SlidingFit, at_guess, with_fast_disturbance
 from bristle.diagnosis.sliding.screen import (
     GROSS_GAIN,
+    POSITION_TORQUES,
     Start,
     best_start,
     likeliest_beside,
@@ -28,8 +29,10 @@ from bristle.diagnosis.sliding.screen import (
 )
 from bristle.diagnosis.sliding.torque import is_faint, sliding_torques
 from bristle.plant.effects import effect as find_effect
+from bristle.plant.servo import J
 
 MOST_CLIMBED = 6  # effects that are fitted to the end
+FAR = 2.0  # from its given value, as a factor, where an inertia may stand in for another torque
 
 Found = tuple[str, SlidingFit, Start]
 
@@ -116,7 +119,29 @@ def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -
     near = {*hopeful[:MOST_CLIMBED], latest.said.best}
     chosen = [(name, start) for _, name, start in shown if name in near]
     ends = context.options.map(lambda each: fitted(*each), chosen)
-    return sorted((each for each in ends if each), key=lambda each: -_worth(each[1]))
+    ends += _from_guess(context, base, names)
+    best = dict[str, Found]()
+    for each in sorted((each for each in ends if each), key=lambda each: -_worth(each[1])):
+        best.setdefault(each[0], each)
+    return list(best.values())
+
+
+def _from_guess(
+    context: SearchContext, base: SlidingFit, names: Collection[str]
+) -> Iterator[Found | None]:
+    """Give fits of those effects that may be most of the torque, from the parameters as they were
+    given: an inertia that went far from them has taken the place of such a torque.
+    """
+    guess = {k: x for k, x in context.options.guess.items() if k in base.free_values}
+    inertia = base.values[J.name] / guess.get(J.name, base.values[J.name])
+    if max(inertia, 1 / inertia) < FAR:
+        return
+    begun, limits = at_guess(base, guess), context.fitted.servo.limits
+    evidence = sliding_evidence(begun, context.dataset.turn)
+    for name in (each for each in POSITION_TORQUES if each in names):
+        starts = context.start_values(name, evidence)
+        best = likeliest_beside(begun, name, starts, limits, ITERATIONS)
+        yield best and (name, *best)
 
 
 def _worth(fit: SlidingFit) -> float:

@@ -73,6 +73,9 @@ class SearchOptions:
     budget : float
         Seconds for the whole diagnosis, about; once most of them are gone no further effect is
         tried, those under way are left, and the answer says so.
+    guess : mapping of str to float
+        Parameters of the model before any fit; where one ends far from it, effects are also fitted
+        from there.
     deadline : float
         Until when effects are tried [s, of `time.perf_counter`]; a diagnosis sets it from the
         budget.
@@ -84,6 +87,7 @@ class SearchOptions:
     test_input_hold: bool = True
     jobs: int = 0
     budget: float = math.inf
+    guess: Mapping[str, float] = field(default_factory=dict)
     deadline: float = math.inf
 
     @property

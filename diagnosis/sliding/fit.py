@@ -266,6 +266,18 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
     """
     if len(model.over.counted) < LEAST_COUNTED:
         return None
+    try:
+        return _within_what_slides(climb(_begun(model, values)))
+    except NotStaticError:
+        return None
+
+
+def at_guess(fit: SlidingFit, guess: Mapping[str, float]) -> SlidingFit:
+    """Return a model with other values of parameters, and the noise that a fit begins with."""
+    return _begun(fit.model, {**fit.values, **guess})
+
+
+def _begun(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit:
     inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
     noise = SlidingNoise(
         inside[INERTIA],
@@ -275,10 +287,7 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
         model.resolution,
         START_WHITE * model.drive(inside) * math.sqrt(model.over.h),
     )
-    try:
-        return _within_what_slides(climb(evaluate(model, inside, noise)))
-    except NotStaticError:
-        return None
+    return evaluate(model, inside, noise)
 
 
 def _within_what_slides(fit: SlidingFit) -> SlidingFit:

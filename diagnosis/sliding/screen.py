@@ -15,6 +15,7 @@ from bristle.diagnosis.sliding.fit import (
     ITERATIONS,
     SCREENING_ITERATIONS,
     SlidingFit,
+    at_guess,
     fit_beside,
 )
 from bristle.diagnosis.sliding.torque import driving_input, sliding_torque
@@ -103,20 +104,24 @@ def likeliest_beside(
     return max(fits, key=lambda each: each[0].total, default=None)
 
 
-def with_gross_effects(fit: SlidingFit, names: Sequence[str], turn: float) -> SlidingFit:
+def with_gross_effects(
+    fit: SlidingFit, names: Sequence[str], turn: float, guess: Mapping[str, float]
+) -> SlidingFit:
     """Return a fit with those of the named effects that gain much, the one that gains most first.
 
     Each is fitted to the end: a slow disturbance that stood in for a large torque gives way to it
-    only after many steps.
+    only after many steps, and an inertia that did so from a `guess` of the parameters alone.
     """
     while left := [name for name in names if name not in fit.model.effects]:
-        found, evidence = [], sliding_evidence(fit, turn)
-        for name in left:
-            derive = find_effect(name).starts
-            starts = derive(evidence) if derive else []
-            beside = likeliest_beside(fit, name, starts, {}, ITERATIONS)
-            if beside is not None:
-                found.append(beside[0])
+        found = []
+        for base in (fit, at_guess(fit, guess)):
+            evidence = sliding_evidence(base, turn)
+            for name in left:
+                derive = find_effect(name).starts
+                starts = derive(evidence) if derive else []
+                beside = likeliest_beside(base, name, starts, {}, ITERATIONS)
+                if beside is not None:
+                    found.append(beside[0])
         best = max(found, key=lambda each: each.total, default=fit)
         if best.total < fit.total + GROSS_GAIN:
             break
@@ -124,7 +129,9 @@ def with_gross_effects(fit: SlidingFit, names: Sequence[str], turn: float) -> Sl
     return fit
 
 
-def with_position_torques(fit: SlidingFit, turn: float, linear: bool) -> SlidingFit:
-    """Return a fit with the torques of a position that gain much."""
+def with_position_torques(
+    fit: SlidingFit, turn: float, linear: bool, guess: Mapping[str, float]
+) -> SlidingFit:
+    """Return a fit with the torques of a position that gain much; `guess` as above."""
     names = [e for e in POSITION_TORQUES if not (linear and find_effect(e).once_per_turn)]
-    return with_gross_effects(fit, names, turn)
+    return with_gross_effects(fit, names, turn, guess)

@@ -16,10 +16,13 @@ from bristle.diagnosis.estimation.dataset import (
     Mask,
     Segments,
 )
+from bristle.diagnosis.estimation.fitted_model import sliding_fit
 from bristle.diagnosis.estimation.likelihood import Fit
 from bristle.diagnosis.estimation.optimiser import predicted_gain, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES
 from bristle.diagnosis.estimation.uncertainty import covariance
+from bristle.diagnosis.sliding.fit import fit_sliding
+from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 
 CHANCE = 1e-3  # probability that records which agree gain more than the level
@@ -71,7 +74,37 @@ def agreement_of(case: SearchedCase) -> RecordAgreement | None:
         [common.free[k].name for k in shown], dict(zip(parts, fits, strict=True)), known
     )
     units = {name: case.model.unit(name) for name in own}
-    return RecordAgreement(max(gain, 0.0), level, own, units, _most_different(fits, known, shown))
+    differs = _most_different(fits, known, shown)
+    agree = gain > level and _slides_agree(case)
+    return RecordAgreement(max(gain, 0.0), level, own, units, differs, agree)
+
+
+def _slides_agree(case: SearchedCase) -> bool:
+    """Return whether each part of the sliding motion has the same parameters within their errors:
+    where a servo sticks, segments differ by more than their noise model knows.
+    """
+    servo, over = case.final.servo, case.dataset.stretches
+    whole = sliding_fit(case.dataset, servo, case.fit.values)
+    if whole is None:
+        return False
+    fits = [fit_sliding(replace(whole.model, over=part), whole.values) for part in _stretches(over)]
+    apart, shown = list[float](), [fit for fit in fits if fit is not None]
+    for f in whole.model.free if len(shown) == len(fits) else ():
+        values = np.array([fit.values[f.name] for fit in shown])
+        variances = np.array([fit.deviations()[f.name] ** 2 for fit in shown])
+        use = np.isfinite(variances) & (variances > 0)
+        apart.append(_spread(values[use], variances[use]))
+    most = float(chi2.isf(CHANCE / max(len(apart), 1), len(fits) - 1))
+    return bool(apart) and max(apart) <= most
+
+
+def _stretches(over: Stretches) -> Iterator[Stretches]:
+    """Give the stretches of each record, or of each half of a single one."""
+    part = over.record[over.begin]
+    if over.record[-1] == 0:
+        part = (over.begin > len(over.record) // 2).astype(int)
+    for k in range(max(int(over.record[-1]), 1) + 1):
+        yield replace(over, begin=over.begin[part == k], end=over.end[part == k])
 
 
 def _own_values(

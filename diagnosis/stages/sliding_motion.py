@@ -20,6 +20,8 @@ from bristle.plant.servo import A2, J
 
 Estimates = Mapping[str, Estimate]
 
+MUCH_WIDER = 3.0  # than intervals by segments: of what the sliding motion hardly shows
+
 
 def from_sliding_motion(case: SearchedCase, answer: Diagnosis, _: Budget) -> Diagnosis:
     """Return an answer with the parameters that the sliding motion shows more closely than the
@@ -40,7 +42,7 @@ def sliding_estimates(
 ) -> dict[str, Estimate]:
     """Return estimates with those of the sliding motion in their place: of inertia, viscous and dry
     friction, whose intervals by segments are too short where bristles or the encoder's steps decide
-    when the servo sticks, and of all that it shows with shorter intervals.
+    when the servo sticks, and of all that it shows with intervals that are not much wider.
 
     The others keep their values: what acts at low speed, such as Stribeck friction, does not show
     while the servo slides, and effects that switch have likelihoods without useful slopes.
@@ -59,7 +61,7 @@ def sliding_estimates(
         closer = {
             name
             for name in shown
-            if _is_of_motion(name) or _width(found[name]) <= _width(before[name])
+            if _is_of_motion(name) or _width(found[name]) <= MUCH_WIDER * _width(before[name])
         }
         if closer == shown:
             return {**before, **found}

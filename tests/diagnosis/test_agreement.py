@@ -19,7 +19,12 @@ from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
-from bristle.diagnosis.stages.agreement import agreement, agreement_of, with_agreement
+from bristle.diagnosis.stages.agreement import (
+    _slides_agree,
+    agreement,
+    agreement_of,
+    with_agreement,
+)
 from bristle.records.record import Record
 
 H = 1e-3
@@ -105,6 +110,19 @@ def test_an_input_that_leads_by_different_times_is_seen(
     assert apart.gain > 3 * same.gain
 
 
+def test_what_slides_alike_agrees(model: Model, run: Callable[..., Record]) -> None:
+    """Whatever segments in which the servo sticks may say; the friction of one may not differ."""
+    for effect, given, agree in (
+        ("bias", {"plain": 1}, True),
+        ("friction_drift", {"rate": 0.06}, False),
+    ):
+        records = [run("first", 1), run("second", 3, effect, **given)]
+        dataset = dataset_of(model, records)
+        base = fit_with_noise(dataset, *base_servo_of(model, dataset))
+        case: Any = SimpleNamespace(model=model, dataset=dataset, final=base, fit=base.fit)
+        assert _slides_agree(case) == agree
+
+
 def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) -> None:
     named = answer("named")
     values = {"Fc": {"warm": 0.1, "cold": 0.13, "dry": 0.12}}
@@ -121,6 +139,7 @@ def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) 
     assert line in said.statement[0]
     assert said.experiment.startswith("Find out what was changed between the records")
     assert said.to_dict()["agreement"]["holds"] is False
+    assert replace(apart, slides_agree=True).holds
     agreed = with_agreement(named, replace(apart, gain=20.0))
     assert agreed.statement == named.statement
     assert mark(agreed)[0] == "good"
