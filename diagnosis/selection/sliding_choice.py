@@ -7,7 +7,6 @@ residual, and hides effects that are seen in the motion at once.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -59,7 +58,7 @@ def _is_clear(latest: TrialRound, base: SlidingFit, found: Sequence[Found]) -> b
     faint, and segments have not added it or one of its class, nor hold one for likely that sliding
     motion does not show.
     """
-    if not found or _worth(found[0][1]) < _worth(base) + GROSS_GAIN:
+    if not found or found[0][1].worth < base.worth + GROSS_GAIN:
         return False
     name, best, _ = found[0]
     known = latest.said.added and group(latest.said.added) == group(name)
@@ -68,7 +67,7 @@ def _is_clear(latest: TrialRound, base: SlidingFit, found: Sequence[Found]) -> b
     for other, fit, _ in found[1:]:
         # what segments add as well has two likelihoods on its side
         margin = GROSS_GAIN if other == latest.said.added else TIE_NATS
-        if group(other) != group(name) and _worth(fit) > _worth(best) - margin:
+        if group(other) != group(name) and fit.worth > best.worth - margin:
             return False
     shown = [other for other, _, _ in found]
     return not (latest.best and latest.assessment.accepted and latest.best.name not in shown)
@@ -84,7 +83,7 @@ def _is_denied(latest: TrialRound, base: SlidingFit, found: Found) -> bool:
         return False
     assert latest.best is not None
     assert latest.best.fit is not None
-    return _worth(fit) <= _worth(base) and _acts(fit, name, fit.values | latest.best.fit.values)
+    return fit.worth <= base.worth and _acts(fit, name, fit.values | latest.best.fit.values)
 
 
 def _acts(fit: SlidingFit, name: str, values: Mapping[str, float]) -> bool:
@@ -121,7 +120,7 @@ def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -
     ends = context.options.map(lambda each: fitted(*each), chosen)
     ends += _from_guess(context, base, names)
     best = dict[str, Found]()
-    for each in sorted((each for each in ends if each), key=lambda each: -_worth(each[1])):
+    for each in sorted((each for each in ends if each), key=lambda each: -each[1].worth):
         best.setdefault(each[0], each)
     return list(best.values())
 
@@ -142,14 +141,6 @@ def _from_guess(
         starts = context.start_values(name, evidence)
         best = likeliest_beside(begun, name, starts, limits, ITERATIONS)
         yield best and (name, *best)
-
-
-def _worth(fit: SlidingFit) -> float:
-    """Return the log-likelihood less half the Bayesian information criterion's penalty [nats].
-
-    Source: schwarz1978.
-    """
-    return fit.total - 0.5 * len(fit.model.free) * math.log(len(fit.innovations))
 
 
 def _added(

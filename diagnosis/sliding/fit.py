@@ -140,6 +140,14 @@ class SlidingFit:
         return np.asarray(spread + np.diag(np.where(hidden, np.inf, 0.0)))
 
     @property
+    def worth(self) -> float:
+        """Log-likelihood less half the Bayesian information criterion's penalty [nats].
+
+        Source: schwarz1978.
+        """
+        return self.total - 0.5 * len(self.model.free) * math.log(len(self.innovations))
+
+    @property
     def free_values(self) -> dict[str, float]:
         """Values of the free parameters."""
         return {f.name: self.values[f.name] for f in self.model.free}
@@ -303,6 +311,11 @@ def _within_what_slides(fit: SlidingFit) -> SlidingFit:
             break
         fit = climb(evaluate(replace(fit.model, over=over), fit.values, fit.noise))
     return fit
+
+
+def refit_over(fit: SlidingFit, over: Stretches, free: tuple[Free, ...]) -> SlidingFit:
+    """Return a fit with these parameters free, and its noise, to some of its stretches."""
+    return climb(evaluate(replace(fit.model, over=over, free=free), fit.values, fit.noise))
 
 
 def fit_beside(

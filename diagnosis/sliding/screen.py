@@ -4,6 +4,7 @@ explain much found one after the other, before anything is simulated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -61,10 +62,11 @@ def sliding_evidence(fit: SlidingFit, turn: float) -> Evidence:
 
 
 def best_start(fit: SlidingFit, name: str, starts: Sequence[Start]) -> tuple[float, Start] | None:
-    """Return the largest gain [nats] that the torque of an effect at a start value predicts, at any
-    size, and that start value; None if the sliding motion does not show the effect.
+    """Return the gain [nats] that the torque of an effect at a start value predicts, at any size,
+    and that start value: of all, the one with the largest gain beyond the price of its parameters;
+    None if the sliding motion does not show the effect.
 
-    Source: rao1948 (score test).
+    Source: rao1948 (score test), schwarz1978 (price).
     """
     model, effect = fit.model, find_effect(name)
     defaults = {p.name: p.default for p in effect.parameters} | effect.inactive_values
@@ -78,7 +80,8 @@ def best_start(fit: SlidingFit, name: str, starts: Sequence[Start]) -> tuple[flo
         except BristleError:
             return None
         gains.append((fit.regress((torque - before)[:, None])[1], start))
-    return max(gains, key=lambda each: each[0], default=None)
+    price = 0.5 * math.log(len(fit.innovations))
+    return max(gains, key=lambda each: each[0] - price * len(each[1]), default=None)
 
 
 def likeliest_beside(

@@ -21,7 +21,7 @@ from bristle.diagnosis.estimation.likelihood import Fit
 from bristle.diagnosis.estimation.optimiser import predicted_gain, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES
 from bristle.diagnosis.estimation.uncertainty import covariance
-from bristle.diagnosis.sliding.fit import fit_sliding
+from bristle.diagnosis.sliding.fit import LEAST_COUNTED, refit_over
 from bristle.diagnosis.sliding.stretches import Stretches
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 
@@ -80,22 +80,19 @@ def agreement_of(case: SearchedCase) -> RecordAgreement | None:
 
 
 def _slides_agree(case: SearchedCase) -> bool:
-    """Return whether each part of the sliding motion has the same parameters within their errors:
-    where a servo sticks, segments differ by more than their noise model knows.
+    """Return whether the parts of the sliding motion are as likely with the parameters of all as
+    with their own: where a servo sticks, segments differ by more than their noise model knows.
     """
-    servo, over = case.final.servo, case.dataset.stretches
-    whole = sliding_fit(case.dataset, servo, case.fit.values)
+    whole = sliding_fit(case.dataset, case.final.servo, case.fit.values)
     if whole is None:
         return False
-    fits = [fit_sliding(replace(whole.model, over=part), whole.values) for part in _stretches(over)]
-    apart, shown = list[float](), [fit for fit in fits if fit is not None]
-    for f in whole.model.free if len(shown) == len(fits) else ():
-        values = np.array([fit.values[f.name] for fit in shown])
-        variances = np.array([fit.deviations()[f.name] ** 2 for fit in shown])
-        use = np.isfinite(variances) & (variances > 0)
-        apart.append(_spread(values[use], variances[use]))
-    most = float(chi2.isf(CHANCE / max(len(apart), 1), len(fits) - 1))
-    return bool(apart) and max(apart) <= most
+    free, parts = whole.model.free, list(_stretches(whole.model.over))
+    if any(len(part.counted) < LEAST_COUNTED for part in parts):
+        return False
+    gain = sum(
+        refit_over(whole, part, free).total - refit_over(whole, part, ()).total for part in parts
+    )
+    return gain <= 0.5 * float(chi2.isf(CHANCE, len(free) * (len(parts) - 1)))
 
 
 def _stretches(over: Stretches) -> Iterator[Stretches]:

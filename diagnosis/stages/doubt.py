@@ -10,6 +10,8 @@ import numpy as np
 
 from bristle.common.table import Array
 from bristle.diagnosis.answer import LEAST_FALL, Diagnosis, Finding, Reason, finding
+from bristle.diagnosis.estimation.fitted_model import sliding_fit
+from bristle.diagnosis.sliding.screen import GROSS_GAIN
 from bristle.diagnosis.sliding.torque import DRIVE, FAINT, is_faint, sliding_torques
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.plant.effects import effect as find_effect
@@ -43,11 +45,21 @@ def _doubts(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:
     impacts, sparse = (any(e.free_play for e in effects), any(e.sparse for e in effects))
     if LEAST_FALL * answer.gap.after > answer.gap.before and not (impacts or sparse):
         yield finding(Reason.DOUBT_ERROR, factor=LEAST_FALL)
-    if answer.whole is not None and answer.whole.worse_throughout and not impacts:
+    worse = answer.whole is not None and answer.whole.worse_throughout
+    if worse and not (impacts or _shown_sliding(case)):
         yield finding(Reason.DOUBT_WHOLE)
     if answer.remains.doubtful:
         yield finding(Reason.DOUBT_REST, share=answer.remains.share)
     yield from _doubts_of_torques(case, answer)
+
+
+def _shown_sliding(case: SearchedCase) -> bool:
+    """Return whether the sliding motion shows the effects; in a loop, an open simulation of whole
+    records drifts by the disturbance that the loop has answered, with any model.
+    """
+    models = (each.servo for each in (case.base, case.final))
+    base, final = (sliding_fit(case.dataset, each, case.final.fit.values) for each in models)
+    return base is not None and final is not None and final.worth > base.worth + GROSS_GAIN
 
 
 def _doubts_of_torques(case: SearchedCase, answer: Diagnosis) -> Iterator[Finding]:

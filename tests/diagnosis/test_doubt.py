@@ -36,9 +36,11 @@ def moving(*speeds: float, effects: tuple[str, ...] = (), torque: float = 1.0) -
     t = H * np.arange(3000)
     records = [(t, np.full_like(t, torque), v * t + 0.1 * np.sin(3 * t)) for v in speeds]
     over = stretches_of(records, H, False, 1e-5)
-    servo = SimpleNamespace(law="coulomb", effects=effects, fixed={"b": 1.0, "u_max": 1e9})
-    final = SimpleNamespace(servo=servo, fit=SimpleNamespace(values={"J": 0.01, "a2": 0.02}))
-    return SimpleNamespace(dataset=SimpleNamespace(stretches=over), final=final)
+    servo = SimpleNamespace(law="coulomb", effects=effects, fixed={"b": 1.0, "u_max": 1e9}, free=())
+    values = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.5}
+    final = SimpleNamespace(servo=servo, fit=SimpleNamespace(values=values))
+    dataset = SimpleNamespace(stretches=over, resolution=1e-5)
+    return SimpleNamespace(dataset=dataset, base=final, final=final)
 
 
 def judged(diagnosis: Diagnosis, case: Any = None) -> list[Reason]:
@@ -127,6 +129,22 @@ def test_drift_in_the_long_run_is_no_doubt(answer):
     assert judged(replace(named, whole=whole(0.1, 1.05, 1.05, 1.05))) == []
     assert "worse than without what was found" in open_loop_line(whole(0.1, 1.5), 0.4)
     assert "worse" not in open_loop_line(whole(0.1, 0.5), 0.4)
+
+
+def test_what_slides_as_an_effect_says_may_drift_in_an_open_simulation(answer):
+    """In a loop, it drifts by the disturbance that the loop has answered."""
+    worse, t = replace(answer("named"), whole=whole(0.1, 1.2, 1.3, 0.9)), H * np.arange(3000)
+    y = 3.0 * t + 0.1 * np.sin(3.0 * t)
+    v, a = 3.0 + 0.3 * np.cos(3.0 * t), -0.9 * np.sin(3.0 * t)
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(len(t))
+    case = moving(3.0)
+    values = case.final.fit.values | {"gravity.amplitude": 0.3, "gravity.phase": 0.0}
+    carries = SimpleNamespace(**vars(case.final.servo) | {"effects": ("gravity",)})
+    case.final = SimpleNamespace(servo=carries, fit=SimpleNamespace(values=values))
+    for amplitude, doubts in ((0.3, []), (0.0, [Reason.DOUBT_WHOLE])):
+        u = 0.01 * a + 0.02 * v + 0.5 + amplitude * np.sin(y)
+        case.dataset.stretches = stretches_of([(t, u, y + noise)], H, False, 1e-5)
+        assert judged(worse, case) == doubts
 
 
 def test_what_is_left_may_be_what_was_taken_for_an_effect(answer):
