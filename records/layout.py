@@ -215,21 +215,11 @@ def layout_of(
     An error is one line that begins with the file, `where`; `prefix` precedes the names of the
     tables in it ("record.").
     """
-    linear, differences = _is_linear(table, where, prefix), table.output.differences
-    if differences and table.output.kind == "position":
-        raise mistake(
-            where,
-            f"{prefix}output.differences",
-            True,
-            'only a velocity is one of readings; write kind = "velocity"',
-        )
-    if differences and table.output.resolution is not None:
-        said = "the step of the position follows from the velocities; leave it out"
-        raise mistake(where, f"{prefix}output.resolution", table.output.resolution, said)
+    linear = _is_linear(table, where, prefix)
     goal_is_rate = table.input.kind == SETPOINT and _fits(
         table.input, _output_unit("velocity", linear)
     )
-    summed = differences or (goal_is_rate and table.output.kind == "velocity")
+    summed = _is_summed(table.output, goal_is_rate, where, prefix)
     layout = Layout(
         time=_time(table.time, where, prefix),
         rate=_rate(table.time, where, prefix),
@@ -239,28 +229,40 @@ def layout_of(
         output_kind="position" if summed else table.output.kind,
         linear=linear,
         resolution=None if summed else _resolution(table.output, where, prefix, linear),
-        velocity=None if velocity is None else _column(velocity),
+        velocity=velocity and _column(velocity),
         differences=summed,
         known=_known(known, where),
-        load=None if table.output.load is None else _column(table.output.load),
-        goal=None if table.input.goal is None else _column(table.input.goal),
+        load=table.output.load and _column(table.output.load),
+        goal=table.input.goal and _column(table.input.goal),
         goal_is_rate=goal_is_rate,
     )
+    _must_fit_together(layout, table.output.kind, where, prefix)
+    _must_differ(layout, where, prefix)
+    return layout
+
+
+def _is_summed(out: OutputTable, goal_is_rate: bool, where: Path | str, prefix: str) -> bool:
+    """Return whether the column of the output is summed to a position."""
+    if out.differences and out.kind == "position":
+        said = 'only a velocity is one of readings; write kind = "velocity"'
+        raise mistake(where, f"{prefix}output.differences", True, said)
+    if out.differences and out.resolution is not None:
+        said = "the step of the position follows from the velocities; leave it out"
+        raise mistake(where, f"{prefix}output.resolution", out.resolution, said)
+    return out.differences or (goal_is_rate and out.kind == "velocity")
+
+
+def _must_fit_together(layout: Layout, kind: str, where: Path | str, prefix: str) -> None:
+    """Refuse columns beside an input or an output of another kind."""
     if layout.goal is not None and layout.input_kind == SETPOINT:
         said = "the input is the goal itself; give the column of a torque, current or voltage"
         raise mistake(where, f"{prefix}input.goal", None, said)
     if layout.load is not None and layout.output_kind != "position":
         said = 'is compared with the position of the motor; write kind = "position"'
         raise mistake(where, f"{prefix}output.load", None, said)
-    if velocity is not None and table.output.kind == "velocity":
-        raise mistake(
-            where,
-            f"{prefix}output.kind",
-            "velocity",
-            f"[{prefix}velocity] is given as well; remove one of them",
-        )
-    _must_differ(layout, where, prefix)
-    return layout
+    if layout.velocity is not None and kind == "velocity":
+        said = f"[{prefix}velocity] is given as well; remove one of them"
+        raise mistake(where, f"{prefix}output.kind", "velocity", said)
 
 
 def _fits(column: Column, unit: str) -> bool:

@@ -15,9 +15,9 @@ from bristle.common.columns import Columns, columns_of
 from bristle.common.table import Array
 from bristle.records.logs.topics import needed
 
-TIME, DATA = "Time", "Data"  # columns of a timeseries, by the names of its properties
+SERIES_TIME, SERIES_DATA = "Time", "Data"  # columns of a timeseries, by the names of its properties
 # s: what one of the units of a timeseries is worth
-UNITS = {
+TIME_UNITS = {
     "nanoseconds": 1e-9,
     "microseconds": 1e-6,
     "milliseconds": 1e-3,
@@ -41,7 +41,7 @@ def read_objects(path: Path, flat: Any) -> Columns:
         found = load_from_mat(str(path))
     tree = {name: _plain(x) for name, x in found.items() if not name.startswith("__")}
     columns = columns_of(path, dict(flat(tree)), "(:,{})")
-    clocks = {f"{name}.{DATA}": f"{name}.{TIME}" for name in _series(tree)}
+    clocks = {f"{name}.{SERIES_DATA}": f"{name}.{SERIES_TIME}" for name in _series(tree)}
     for name in columns:
         data = name.partition("(:,")[0]
         if (clock := clocks.get(data, name)) in columns and clock in clocks.values():
@@ -79,7 +79,7 @@ def _plain(value: Any, inside: tuple[Any, ...] = ()) -> Any:
 
 def _of_table(table: Any) -> dict[str, Any]:
     """Return the columns of a table, with its index where that is a time."""
-    index = {} if table.index.dtype.kind == "i" else {table.index.name or TIME: table.index}
+    index = {} if table.index.dtype.kind == "i" else {table.index.name or SERIES_TIME: table.index}
     return {str(name): _numbers(x) for name, x in (index | dict(table.items())).items()}
 
 
@@ -116,13 +116,13 @@ def _of_series(own: Mapping[str, Any]) -> _Series:
     time, data = _time_of(own.get("TimeInfo", {}), own.get("Time_")), np.asarray(own.get("Data_"))
     if data.ndim > 2 and data.shape[-1] == len(time):
         data = data.reshape(-1, len(time)).T
-    return _Series({TIME: time, DATA: data})
+    return _Series({SERIES_TIME: time, SERIES_DATA: data})
 
 
 def _time_of(info: Any, beside: Any) -> Array:
     """Return a time [s] that was written sample by sample, or as start and interval."""
     info = info if isinstance(info, Mapping) else {}
-    unit = UNITS.get(str(info.get("Units", "seconds")), 1.0)
+    unit = TIME_UNITS.get(str(info.get("Units", "seconds")), 1.0)
     written = [
         np.asarray(x, dtype=float).ravel() for x in (info.get("Time_"), beside) if x is not None
     ]
@@ -130,7 +130,7 @@ def _time_of(info: Any, beside: Any) -> Array:
     if given is None:
         start, step, count = (_number(info.get(key)) for key in ("Start_", "Increment_", "Length"))
         given = start + step * np.arange(0 if np.isnan(count) else int(count))
-    return unit * given
+    return np.asarray(unit * given)
 
 
 def _number(value: Any) -> float:
