@@ -199,8 +199,9 @@ def evaluate(model: SlidingModel, values: Mapping[str, float], noise: SlidingNoi
     # inertia and viscous friction act in the filter itself
     for k, (name, value) in enumerate(((INERTIA, noise.inertia), (VISCOUS, noise.viscous))):
         for place in [i for i, f in enumerate(model.free) if f.name == name]:
-            slopes[:, place] += own[:, k] / value
-            variance_slopes[:, place] += through.variance_slope[:, k] / value
+            with np.errstate(over="ignore", invalid="ignore"):
+                slopes[:, place] += own[:, k] / value
+                variance_slopes[:, place] += through.variance_slope[:, k] / value
     total = -math.inf
     if through.variance.min() > 0:
         with np.errstate(over="ignore"):  # far from what was measured: infinitely unlikely

@@ -125,8 +125,8 @@ def with_gross_effects(
                 beside = likeliest_beside(base, name, starts, {}, ITERATIONS)
                 if beside is not None:
                     found.append(beside[0])
-        best = max(found, key=lambda each: each.total, default=fit)
-        if best.total < fit.total + GROSS_GAIN:
+        best = max(found, key=lambda each: each.worth, default=fit)
+        if best.worth < fit.worth + GROSS_GAIN:
             break
         fit = best
     return fit
