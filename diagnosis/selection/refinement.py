@@ -9,14 +9,12 @@ from bristle.diagnosis.estimation.fitted_model import (
     NOISE_FIT_ITERATIONS,
     FittedModel,
     refit_with_noise,
-    sliding_fit,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
-    Servo,
 )
 from bristle.diagnosis.free_parameter import free_parameters
 from bristle.diagnosis.selection.candidates import EffectFit
@@ -78,19 +76,9 @@ def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
     if (
         ReferenceModel.of(context.dataset, problem, usual).assess(fit, level).accepted
         and fit.penalised > usual.penalised
-        and not _is_denied(context, best.servo, fit, name)
     ):
         return FittedModel(best.servo, problem, fit)
     return fitted if usual is before else FittedModel(fitted.servo, problem, usual)
-
-
-def _is_denied(context: SearchContext, shaped: Servo, fit: Fit, name: str) -> bool:
-    """Return whether the sliding motion shows an effect, and gains nothing by its shape."""
-    if find_effect(name).nonsmooth or find_effect(name).sparse:
-        return False
-    plain = sliding_fit(context.dataset, context.fitted.servo, context.fit.values)
-    other = sliding_fit(context.dataset, shaped, fit.values)
-    return plain is not None and other is not None and other.worth <= plain.worth
 
 
 def _best_shape(context: SearchContext, name: str, level: float) -> FittedModel | None:
