@@ -21,6 +21,7 @@ from bristle.diagnosis.answer import Diagnosis
 from bristle.diagnosis.checks.preparation import prepared_case
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.workflow import SEARCH_SHARE
+from bristle.plant.effects import effects
 
 
 def found(model: Model, measured: Any, options: SearchOptions, progress: Any = None) -> Diagnosis:
@@ -75,7 +76,8 @@ def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
         "records were not compared for their parameters",
     )
     assert line.endswith("; ".join([*later, "no input of a further record"]))
-    assert any("before 26 effects were tried" in each for each in answer.statement)
+    tried = f"before {len(effects())} effects were tried"
+    assert any(tried in each for each in answer.statement)
     assert not answer.effects
 
 
