@@ -22,6 +22,7 @@ from bristle.diagnosis.answer import (
 from bristle.diagnosis.report.export import augment
 from bristle.diagnosis.report.headline import headline, mark
 from bristle.diagnosis.report.text.statement import open_loop_line
+from bristle.diagnosis.selection import refinement
 from bristle.diagnosis.sliding.stretches import stretches_of
 from bristle.diagnosis.stages.doubt import suspected
 
@@ -180,6 +181,21 @@ def test_a_torque_that_is_small_beside_others_is_no_name(answer):
     weak = of(answer("named"), "bias", "torque", 0.015)
     case = moving(3.0, effects=("bias",), torque=0.1)
     assert judged(weak, case) == []
+
+
+def test_what_is_small_beside_a_later_effect_is_removed(monkeypatch):
+    """However certain it was when it was found alone; it would take the name from the other."""
+    case = moving(3.0, -3.0, effects=("bias", "gravity"))
+    values = case.final.fit.values | {"gravity.amplitude": 0.5, "gravity.phase": 0.0}
+    less = SimpleNamespace(servo=None)
+    monkeypatch.setattr(refinement, "_without", lambda fitted, base, name: less)
+    base: Any = SimpleNamespace(servo=SimpleNamespace(effects=()))
+    for torque, removed in ((0.01, ["bias"]), (0.1, [])):
+        fit = SimpleNamespace(values=values | {"bias.torque": torque})
+        fitted = SimpleNamespace(servo=case.final.servo, fit=fit)
+        context: Any = SimpleNamespace(dataset=case.dataset, fitted=fitted, fit=fit)
+        found = refinement.backward_elimination(context, base, 20.0, certain=("bias",))
+        assert found == (less if removed else fitted, removed)
 
 
 @pytest.mark.parametrize(("share", "doubts"), [(0.1, []), (-0.35, [Reason.DOUBT_SIZE])])

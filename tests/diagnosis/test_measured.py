@@ -146,7 +146,17 @@ def found(model, entries):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("compensated", "groups"), [(False, [{"cogging"}]), (True, [set(), {"cogging"}])]
+    ("compensated", "groups"),
+    [
+        pytest.param(
+            False,
+            [{"cogging"}],
+            marks=pytest.mark.xfail(
+                strict=True, reason="not identifiable, as benchmarks/results/measured.md says"
+            ),
+        ),
+        (True, [set(), {"cogging"}]),
+    ],
 )
 def test_the_cogging_of_a_motor_is_found_as_long_as_nothing_makes_up_for_it(
     compensated, groups, data
