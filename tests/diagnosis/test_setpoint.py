@@ -292,6 +292,7 @@ def test_goal_and_position_alone_are_proposed_as_a_setpoint(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_goal_and_velocity_alone_are_proposed_as_a_setpoint(tmp_path):
     """Explained by inertia and friction, a goal of the velocity would pass for what drives it."""
     gains = {"kp": 6.0, "kd": 0.3}
