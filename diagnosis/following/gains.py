@@ -38,6 +38,7 @@ NEARLY_AS_WELL = 1.5
 # of the squares left: with P and D action alone both ways of a lag have the same law, and in most
 # drives the velocity alone lags
 LATE_PRICE = 1.01
+AHEAD = "ahead"  # samples by which the goal's rate leads that of the last two samples
 # settings of the law between which each part acts with a gain of 1
 ONES: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]] = {
     "kp": ({"kp": 1.0}, {}),
@@ -45,16 +46,12 @@ ONES: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]] = {
     "kd": ({"kd": 1.0}, {}),
     "ki": ({"ki": 1.0}, {}),
     "forward": ({"kd": 1.0, "forward": 1.0}, {"kd": 1.0}),
-    "ahead": ({"kd": 1.0, "forward": 1.0}, {"kd": 1.0}),
+    AHEAD: ({"kd": 1.0, "forward": 1.0}, {"kd": 1.0}),  # of it, the change to the next sample
     "friction": ({"friction": 1.0}, {}),
 }
-AHEAD = "ahead"  # samples by which the goal's rate leads that of the last two samples
 IDLE = {"weight": 1.0}  # of a part that is not there; 0 of the others
-RELATIVE_TO = {
-    "forward": "kd",
-    AHEAD: "forward",
-    "weight": "kp",
-}  # weights, and the gains that they are relative to
+# weights, and the gains that they are relative to
+RELATIVE_TO = {"forward": "kd", AHEAD: "forward", "weight": "kp"}
 WAYS = tuple(product(CONTROLLER_LAGS, (True, False), CONTROLLER_DELAYS))
 TINY_SHARE = 1e-12  # of the input's power: least that is left
 GAIN_PARTS = 60  # of the records whose errors count as independent
@@ -282,13 +279,8 @@ class _Recorded:
         for name in names:
             more, less = (_asked({"kp": 0.0, "forward": 0.0, **own}, over) for own in ONES[name])
             part = more - less
-            found.append(self._next(part) - part if name == AHEAD else part)
+            found.append(over.after(part) - part if name == AHEAD else part)
         return np.column_stack(found)
-
-    def _next(self, x: Array) -> Array:
-        """Return a column (samples,) a sample ahead, in each record."""
-        last = np.diff(self.over.record, append=-1) != 0
-        return np.where(last, x, np.roll(x, -1))
 
     def _seen(self, lag: float, late: bool) -> Stretches:
         """Return the records as a controller sees them: with the velocity of the last two samples,

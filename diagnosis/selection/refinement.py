@@ -139,7 +139,7 @@ def backward_elimination(
     """
     fitted, removed = context.fitted, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
-    faint = set(_faint(context, added[:-1]))
+    faint = set(faint_effects(context, added[:-1]))
     for name in (each for each in added[:-1] if each in faint or each not in certain):
         less = _without(fitted, base, name)
         if (
@@ -153,7 +153,7 @@ def backward_elimination(
     return fitted, removed
 
 
-def _faint(context: SearchContext, names: Collection[str]) -> Iterator[str]:
+def faint_effects(context: SearchContext, names: Collection[str]) -> Iterator[str]:
     """Give those of some effects whose torque is small beside others at every sample."""
     servo, over = context.fitted.servo, context.dataset.stretches
     values = {**servo.fixed, **context.fit.values}

@@ -23,6 +23,7 @@ from bristle.diagnosis.sliding.screen import (
     POSITION_TORQUES,
     Start,
     best_start,
+    each_beside,
     likeliest_beside,
     sliding_evidence,
 )
@@ -31,6 +32,7 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import J
 
 MOST_CLIMBED = 6  # effects that are fitted to the end
+LEAST_P = 1e-16  # a probability that is less is given as this
 FAR = 2.0  # from its given value, as a factor, where an inertia may stand in for another torque
 
 Found = tuple[str, SlidingFit, Start]
@@ -127,7 +129,7 @@ def _most_likely(context: SearchContext, base: SlidingFit, latest: TrialRound) -
 
 def _from_guess(
     context: SearchContext, base: SlidingFit, names: Collection[str]
-) -> Iterator[Found | None]:
+) -> Iterator[Found]:
     """Give fits of those effects that may be most of the torque, from the parameters as they were
     given: an inertia that went far from them has taken the place of such a torque.
     """
@@ -135,12 +137,9 @@ def _from_guess(
     inertia = base.values[J.name] / guess.get(J.name, base.values[J.name])
     if max(inertia, 1 / inertia) < FAR:
         return
-    begun, limits = at_guess(base, guess), context.fitted.servo.limits
-    evidence = sliding_evidence(begun, context.dataset.turn)
-    for name in (each for each in POSITION_TORQUES if each in names):
-        starts = context.start_values(name, evidence)
-        best = likeliest_beside(begun, name, starts, limits, ITERATIONS)
-        yield best and (name, *best)
+    tried = [name for name in POSITION_TORQUES if name in names]
+    limits = context.fitted.servo.limits
+    yield from each_beside(at_guess(base, guess), tried, context.dataset.turn, limits)
 
 
 def _added(
@@ -156,7 +155,7 @@ def _added(
     trials = tuple(chosen if c.name == name else c for c in latest.trials)
     # chance, by the ratio of likelihoods, in as many effects as were tried
     more = len(best.model.free) - len(base.model.free)
-    p = min(1.0, len(trials) * float(chi2.sf(2 * gain, more)))
+    p = min(1.0, max(len(trials) * float(chi2.sf(2 * gain, more)), LEAST_P))
     return replace(latest, best=chosen, trials=trials).with_said(
         best=name,
         gain=gain,

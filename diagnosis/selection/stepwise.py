@@ -43,12 +43,13 @@ from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.refinement import (
     add_effect,
     backward_elimination,
+    faint_effects,
     refit_shape,
     with_candidate,
 )
 from bristle.diagnosis.selection.sliding_choice import by_sliding
 from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions
-from bristle.diagnosis.sliding.torque import FAINT, is_faint, sliding_torques
+from bristle.diagnosis.sliding.torque import FAINT
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
@@ -266,20 +267,13 @@ def _by_strength(context: SearchContext, latest: TrialRound, further: bool) -> T
     assert latest.best is not None
     assert latest.best.fit is not None
     name, share = latest.best.name, STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
-    if further and _is_faint(context, latest.best):
+    if further and [*faint_effects(with_candidate(context, latest.best), [name])]:
         return latest.rejected(finding(Reason.FAINT, effect=name, share=FAINT))
     if strength_is_known(latest.best.fit, context.own_noise(latest.best.fit), name, share=share):
         return latest.with_said(decision=finding(Reason.ADDED, effect=name), outcome="added")
     if further:
         return latest.rejected(finding(Reason.UNKNOWN_STRENGTH, effect=name))
     return latest.limited(finding(Reason.STANDS_IN, effects=(name,)))
-
-
-def _is_faint(context: SearchContext, best: EffectFit) -> bool:
-    assert best.fit is not None
-    servo, over = context.fitted.servo, context.dataset.stretches
-    values, effects = {**servo.fixed, **best.fit.values}, (*servo.effects, best.name)
-    return is_faint(sliding_torques(servo.law, effects, values, over), servo.law, best.name)
 
 
 def evaluate_candidates(

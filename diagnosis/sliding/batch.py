@@ -58,7 +58,7 @@ def batch_fit(
         over = stretches_of([(times, u, y)], h, velocity, resolution)
         fit = _fitted(over, resolution)
         span = 2 * math.pi if rotary else float(np.ptp(over.theta))
-        return fit and with_position_torques(fit, span, not rotary, {})
+        return fit and with_position_torques(fit, span, not rotary)
     except BristleError:  # without a compiler there is no filter
         return None
 

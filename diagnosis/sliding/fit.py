@@ -140,12 +140,17 @@ class SlidingFit:
         return np.asarray(spread + np.diag(np.where(hidden, np.inf, 0.0)))
 
     @property
-    def worth(self) -> float:
-        """Log-likelihood less half the Bayesian information criterion's penalty [nats].
+    def price(self) -> float:
+        """Half the Bayesian information criterion's penalty of a parameter [nats].
 
         Source: schwarz1978.
         """
-        return self.total - 0.5 * len(self.model.free) * math.log(len(self.innovations))
+        return 0.5 * math.log(len(self.innovations))
+
+    @property
+    def worth(self) -> float:
+        """Log-likelihood less the price of the parameters [nats]."""
+        return self.total - self.price * len(self.model.free)
 
     @property
     def free_values(self) -> dict[str, float]:

@@ -4,8 +4,7 @@ explain much found one after the other, before anything is simulated.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -66,7 +65,7 @@ def best_start(fit: SlidingFit, name: str, starts: Sequence[Start]) -> tuple[flo
     and that start value: of all, the one with the largest gain beyond the price of its parameters;
     None if the sliding motion does not show the effect.
 
-    Source: rao1948 (score test), schwarz1978 (price).
+    Source: rao1948 (score test).
     """
     model, effect = fit.model, find_effect(name)
     defaults = {p.name: p.default for p in effect.parameters} | effect.inactive_values
@@ -80,8 +79,7 @@ def best_start(fit: SlidingFit, name: str, starts: Sequence[Start]) -> tuple[flo
         except BristleError:
             return None
         gains.append((fit.regress((torque - before)[:, None])[1], start))
-    price = 0.5 * math.log(len(fit.innovations))
-    return max(gains, key=lambda each: each[0] - price * len(each[1]), default=None)
+    return max(gains, key=lambda each: each[0] - fit.price * len(each[1]), default=None)
 
 
 def likeliest_beside(
@@ -107,8 +105,23 @@ def likeliest_beside(
     return max(fits, key=lambda each: each[0].total, default=None)
 
 
+def each_beside(
+    fit: SlidingFit, names: Collection[str], turn: float, limits: Limits
+) -> Iterator[tuple[str, SlidingFit, Start]]:
+    """Give the likeliest fit with each of the named effects, and the start value that leads there;
+    those that the sliding motion does not show are left out.
+    """
+    evidence = sliding_evidence(fit, turn)
+    for name in names:
+        derive = find_effect(name).starts
+        starts = derive(evidence) if derive else []
+        beside = likeliest_beside(fit, name, starts, limits, ITERATIONS)
+        if beside is not None:
+            yield name, *beside
+
+
 def with_gross_effects(
-    fit: SlidingFit, names: Sequence[str], turn: float, guess: Mapping[str, float]
+    fit: SlidingFit, names: Sequence[str], turn: float, guess: Mapping[str, float] | None = None
 ) -> SlidingFit:
     """Return a fit with those of the named effects that gain much, the one that gains most first.
 
@@ -116,15 +129,8 @@ def with_gross_effects(
     only after many steps, and an inertia that did so from a `guess` of the parameters alone.
     """
     while left := [name for name in names if name not in fit.model.effects]:
-        found = []
-        for base in (fit, at_guess(fit, guess)):
-            evidence = sliding_evidence(base, turn)
-            for name in left:
-                derive = find_effect(name).starts
-                starts = derive(evidence) if derive else []
-                beside = likeliest_beside(base, name, starts, {}, ITERATIONS)
-                if beside is not None:
-                    found.append(beside[0])
+        bases = [fit] if guess is None else [fit, at_guess(fit, guess)]
+        found = [each for base in bases for _, each, _ in each_beside(base, left, turn, {})]
         best = max(found, key=lambda each: each.worth, default=fit)
         if best.worth < fit.worth + GROSS_GAIN:
             break
@@ -133,7 +139,7 @@ def with_gross_effects(
 
 
 def with_position_torques(
-    fit: SlidingFit, turn: float, linear: bool, guess: Mapping[str, float]
+    fit: SlidingFit, turn: float, linear: bool, guess: Mapping[str, float] | None = None
 ) -> SlidingFit:
     """Return a fit with the torques of a position that gain much; `guess` as above."""
     names = [e for e in POSITION_TORQUES if not (linear and find_effect(e).once_per_turn)]

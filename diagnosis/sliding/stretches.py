@@ -69,9 +69,13 @@ class Stretches:
         """Position and velocity between each sample and the next (samples,): what acts in between
         is known by its mean.
         """
-        last = np.diff(self.record, append=-1) != 0
-        v = np.where(last, self.v, (self.v + np.roll(self.v, -1)) / 2)
+        v = (self.v + self.after(self.v)) / 2
         return self.theta + self.h / 2 * v, v
+
+    def after(self, x: Array) -> Array:
+        """Return samples (samples,) one later, in each record; its last one stays."""
+        last = np.diff(self.record, append=-1) != 0
+        return np.where(last, x, np.roll(x, -1))
 
     @cached_property
     def error_sum(self) -> Array:

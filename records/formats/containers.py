@@ -17,6 +17,7 @@ from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, must_fi
 from bristle.common.errors import BristleError
 from bristle.records.formats.matlab_objects import read_objects
 from bristle.records.formats.rate import rate_in
+from bristle.records.formats.structs import flat_structs
 from bristle.records.formats.text import read_rows
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -41,15 +42,15 @@ def read_mat(path: Path) -> Columns:
 
     with path.open("rb") as stream:
         if _is_hdf5(stream):
-            return read_objects(path, _flat) if _holds_objects(path) else read_hdf5(path)
+            return read_objects(path) if _holds_objects(path) else read_hdf5(path)
         must_fit(path, _unpacked_size(stream))
         stream.seek(0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of objects, which are read below
             found = loadmat(stream, simplify_cells=True)
     if MAT_OBJECTS in found:
-        return read_objects(path, _flat)
-    flat = dict(_flat({k: v for k, v in found.items() if not k.startswith("__")}))
+        return read_objects(path)
+    flat = dict(flat_structs({k: v for k, v in found.items() if not k.startswith("__")}))
     columns = columns_of(path, _named_channels(flat), "(:,{})")
     columns.rate = _own_rate(flat)
     return columns
@@ -120,32 +121,6 @@ def _unpacked_size(stream: BinaryIO) -> int:
             size += len(unpacker.decompress(content, UNPACKED_CHUNK))
             content = unpacker.unconsumed_tail
     return size
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Give what a tree of structs holds; the elements of an array of structs have their label, or
-    are numbered from 1.
-    """
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        elements = (
-            list(value.flat) if isinstance(value, np.ndarray) and value.dtype == object else value
-        )
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
-        elif (
-            isinstance(elements, list)
-            and elements
-            and all(isinstance(each, Mapping) for each in elements)
-        ):
-            labels = [each.get("label") for each in elements]
-            distinct = all(isinstance(label, str) and label for label in labels) and len(
-                set(labels)
-            ) == len(labels)
-            for number, (each, label) in enumerate(zip(elements, labels, strict=True), start=1):
-                yield from _flat(each, f"{name}.{label}." if distinct else f"{name}({number}).")
-        else:
-            yield name, value
 
 
 def read_hdf5(path: Path) -> Columns:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bristle.common.columns import Columns, columns_of
 from bristle.common.table import Array
+from bristle.records.formats.structs import flat_structs
 from bristle.records.logs.topics import needed
 
 SERIES_TIME, SERIES_DATA = "Time", "Data"  # columns of a timeseries, by the names of its properties
@@ -29,18 +30,15 @@ TIME_UNITS = {
 }
 
 
-def read_objects(path: Path, flat: Any) -> Columns:
-    """Return the vectors of a MAT file with objects, each timeseries with a time of its own [s].
-
-    `flat` gives the names and values of a tree of structs.
-    """
+def read_objects(path: Path) -> Columns:
+    """Return the vectors of a MAT file with objects, each timeseries with a time of its own [s]."""
     with needed(path, "a MAT file with objects of MATLAB", "mat-io"):
         from matio import load_from_mat
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # classes that are not known are read as their properties
         found = load_from_mat(str(path))
     tree = {name: _plain(x) for name, x in found.items() if not name.startswith("__")}
-    columns = columns_of(path, dict(flat(tree)), "(:,{})")
+    columns = columns_of(path, dict(flat_structs(tree)), "(:,{})")
     clocks = {f"{name}.{SERIES_DATA}": f"{name}.{SERIES_TIME}" for name in _series(tree)}
     for name in columns:
         data = name.partition("(:,")[0]

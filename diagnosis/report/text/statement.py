@@ -102,7 +102,6 @@ def between_line(between: BetweenSensors) -> str:
     )
 
 
-LEAST_P = 1e-16  # what is smaller is shown as this
 LEAST_LAW = 0.9  # of the input: what the law of a controller explains, else it is another
 
 
@@ -154,7 +153,7 @@ def experiment(d: Diagnosis) -> str:
 
 
 def _missing(e: Named, wording: Wording) -> str:
-    certain = f"Probability that chance improves the fit as much: p ≤ {max(e.p, LEAST_P):.2g}"
+    certain = f"Probability that chance improves the fit as much: p ≤ {e.p:.2g}"
     return (
         f"Missing: {_described(e, wording)}. Estimated, with 95 % intervals: {_estimated(e)}."
         f" {certain}."
