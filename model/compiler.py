@@ -12,12 +12,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from io import FileIO
 from pathlib import Path
+from threading import Event, Lock
 
 from bristle.common.cache import cache_folder, cached, digest
 from bristle.common.errors import BristleError
@@ -354,18 +355,31 @@ def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
     """Return the results for all units, as many at a time as there are cores; raise the first error
     if some fail.
     """
-    with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
-        made: list[Future[Path]] = []
+    gate, busy, stopped = Lock(), set[str](), Event()
+
+    def make_one(unit: str) -> Path:
+        with gate:
+            if stopped.is_set():
+                raise CancelledError
+            busy.add(unit)
         try:
-            made.extend(pool.submit(make, unit) for unit in units)
+            return make(unit)
+        finally:
+            busy.discard(unit)
+
+    with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
+        try:
+            made = [pool.submit(make_one, unit) for unit in units]
             return [each.result() for each in made]
         except Exception:
             # what has not begun is not wanted any more
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         except (KeyboardInterrupt, SystemExit):  # they would be waited for
+            with gate:
+                stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
-            while not all(each.done() for each in made):  # one may be about to start its compiler
+            while busy:  # also what was being submitted; one may be about to start its compiler
                 for pipe in tuple(_watched):
                     _end(pipe)
                 time.sleep(ENDING_INTERVAL)

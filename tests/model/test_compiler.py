@@ -78,7 +78,7 @@ def test_a_compiler_ends_with_us(endless: Path, tmp_path: Path, number: int, cod
     wait_until(lambda: not running(endless))
 
 
-# the signal comes when one compiler runs and the next is not submitted yet
+# the signal comes when one compiler runs and the next is not submitted yet, or is and begins later
 INTERRUPTED = """
 import sys, time
 from concurrent.futures import ThreadPoolExecutor
@@ -89,15 +89,23 @@ class Pool(ThreadPoolExecutor):
         if self._threads:
             while not compiler._watched:
                 time.sleep(0.01)
+            if len(sys.argv) > 1:
+                super().submit(*args)
             sys.exit(3)
         return super().submit(*args)
-compiler.ThreadPoolExecutor = Pool
+def slowly(sources, target, unit, made=compiler._made):
+    time.sleep(0.5 * (unit == "g.c"))
+    return made(sources, target, unit)
+compiler.ThreadPoolExecutor, compiler._made = Pool, slowly
 compiler.compile_shared({"f.c": "int f(void);", "g.c": "int g(void);"}, Path("f.so"))
 """
 
 
-def test_a_signal_between_two_compilers_ends_the_first(endless: Path, tmp_path: Path) -> None:
-    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED], cwd=tmp_path)
+@pytest.mark.parametrize("more", [(), ("also",)], ids=["not submitted", "submitted"])
+def test_a_signal_between_two_compilers_ends_what_runs(
+    endless: Path, tmp_path: Path, more: tuple[str, ...]
+) -> None:
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, *more], cwd=tmp_path)
     try:
         assert process.wait(20) == 3
     finally:
