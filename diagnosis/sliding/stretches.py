@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from bristle.common.table import Array
 
@@ -116,9 +116,7 @@ def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
     """Return y or its derivative of an order, by a parabola through the samples within `half` s."""
     reach = max(2, round(half / h))
     reach = min(reach, (len(y) - 1) // 2)
-    kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
-    padded = np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
-    return np.convolve(padded, kernel, mode="valid")
+    return np.asarray(savgol_filter(y, 2 * reach + 1, 2, deriv=order, delta=h))
 
 
 def stretches_of(
