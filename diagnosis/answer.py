@@ -590,6 +590,7 @@ class WholeRecords:
     segment_parameters: dict[str, Estimate]
     traces: tuple[RecordTrace, ...]  # in open loop, a value a sample
     tried: bool = True  # whether a refit was
+    contradicted: bool = False  # whether the motion that slides contradicts it
 
     @property
     def worse(self) -> bool:

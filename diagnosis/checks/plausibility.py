@@ -124,11 +124,10 @@ def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[Fi
         others = [
             np.where(each.known(VALUE_ERRORS), each.value, np.nan)
             for i, each in enumerate(regressions)
-            if each and i != k
+            if each and i != k and each.known(VALUE_ERRORS)[0]
         ]
-        if wrong is None and all(
-            _wrong_factor(model, other, own) for other in others if np.isfinite(other[0])
-        ):
+        # without another whose inertia is known, all records together tell
+        if wrong is None and others and all(_wrong_factor(model, x, own) for x in others):
             wrong = _wrong_factor(model, _nominal(model), own, alone=True)
         if wrong:
             yield finding(Reason.IN_RECORD, record=record.name, what=wrong)

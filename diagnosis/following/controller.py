@@ -75,7 +75,9 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
     if "limit" not in known:
         for kind in kinds[:]:
             limits = [_fitted(model, slides, {**kind.own, "limit": x}) for x in kind.large]
-            kinds.append(max(limits, key=lambda each: each.total))
+            best = max(limits, key=lambda each: each.total)
+            # with a limit kp may be farther from its start than one fit may go
+            kinds.append(_fitted(model, slides, best.own))
     kinds.sort(key=lambda each: -each.total)
     return [_with(model, {**BESIDE_ALL, **kind.own, **known}) for kind in kinds[:MOST_SLIDING]]
 

@@ -291,6 +291,15 @@ def at_guess(fit: SlidingFit, guess: Mapping[str, float]) -> SlidingFit:
     return _begun(fit.model, {**fit.values, **guess})
 
 
+def loss_at(fit: SlidingFit, values: Mapping[str, float]) -> float:
+    """Return what the log-likelihood of a fit loses [nats] with these values of its parameters, the
+    noise fitted to them.
+    """
+    own = {name: values[name] for name in fit.free_values}
+    held = replace(fit, model=replace(fit.model, free=()))
+    return fit.total - climb(at_guess(held, own)).total
+
+
 def _begun(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit:
     inside = dict(values) | {f.name: f.clip(values[f.name]) for f in model.free}
     noise = SlidingNoise(

@@ -17,9 +17,12 @@ from bristle.diagnosis.answer import (
     RecordTrace,
     WholeRecords,
 )
+from bristle.diagnosis.estimation.fitted_model import sliding_fit
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.estimation.uncertainty import refitted_estimates
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.sliding.fit import loss_at
+from bristle.diagnosis.sliding.screen import GROSS_GAIN
 from bristle.diagnosis.stages.case import Budget, SearchedCase
 from bristle.diagnosis.validation.long_simulation import (
     Grown,
@@ -96,8 +99,11 @@ def _over_whole_records(case: SearchedCase, answer: Diagnosis, refit: bool) -> D
     same = before is after
     # their refit, the model before the search only where the one after it is refitted
     most = general_horizon(after.servo, after.values, records, segment) if refit else 0.0
+    contradicted = False
     if most > 0:
         after = after.refitted(records, segment, most)
+        contradicted = after.grown.fit is not None and _is_contradicted(case, after)
+        after = replace(after, grown=NOT_REFITTED) if contradicted else after
         if same:
             before = after
         elif after.grown.fit is not None:
@@ -109,8 +115,20 @@ def _over_whole_records(case: SearchedCase, answer: Diagnosis, refit: bool) -> D
         base=before.estimates(case.model, answer.base),
         fitted=fitted,
         effects=tuple(effect.with_estimates(fitted) for effect in answer.effects),
-        whole=replace(whole, tried=refit),
+        whole=replace(whole, tried=refit, contradicted=contradicted),
     )
+
+
+def _is_contradicted(case: SearchedCase, refitted: _Long) -> bool:
+    """Return whether the motion that slides contradicts refitted parameters: over long times a slow
+    disturbance adds up to a drift, which an inertia may follow.
+
+    Where the torque is only asked for, the whole loop shows more than that motion.
+    """
+    if case.model.controller is not None:
+        return False
+    slides = sliding_fit(case.dataset, case.final.servo, refitted.values)
+    return slides is not None and loss_at(slides, refitted.last) > GROSS_GAIN
 
 
 def _values(fitted: Mapping[str, float], estimates: Mapping[str, Estimate]) -> dict[str, float]:

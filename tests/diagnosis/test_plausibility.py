@@ -106,6 +106,13 @@ def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, me
         assert "correct this record, not the model file" in line
 
 
+def test_a_record_is_not_blamed_where_no_other_tells(positions, tree):
+    [(t, u, y)] = positions["bias"]
+    still = t, 1e-3 * u, y[0] + 1e-5 * np.sin(7.0 * t)
+    [line] = said(declared(tree), [still, (t, u, y / 60)]).proposals
+    assert line.startswith("position looks a factor")
+
+
 def test_it_names_the_likely_unit(positions, tree):
     model, data = declared(tree), positions["bias"]
     [line] = said(model, data, lambda t, u, y: (t, u * 1e3, y)).proposals

@@ -204,7 +204,7 @@ def test_its_structure_and_its_gains_are_found(gains):
     assert ("ki" in found) == ("ki" in gains)
     assert ("limit" in found) == ("limit" in gains)
     # relative to the nominal inertia, which is the true one
-    assert found["kp"] == pytest.approx(6.0, rel=0.25)
+    assert found["kp"] == pytest.approx(6.0, rel=0.05)
     for name, near in (("ki", 0.05), ("limit", 0.15)):
         if name in gains:
             assert found[name] / found["kp"] == pytest.approx(gains[name] / 6.0, rel=near)

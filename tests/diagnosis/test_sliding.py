@@ -19,6 +19,7 @@ from bristle.diagnosis.sliding.fit import (
     evaluate,
     fit_beside,
     fit_sliding,
+    loss_at,
 )
 from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
@@ -296,3 +297,17 @@ def test_what_the_motion_does_not_show_has_no_interval() -> None:
     known = evaluate(model, values, NOISE).deviations()
     assert 0.0 < known["J"] < 1e-3
     assert known[own[0]] == known[own[1]] == math.inf
+
+
+def test_a_standard_error_from_the_best_costs_half_a_nat() -> None:
+    fit = fitted(slid(4))
+    spread = np.linalg.inv(fit.information)[:, 0]  # how all parameters follow the first
+
+    def at(errors: float) -> float:
+        step = errors * spread / math.sqrt(spread[0])
+        changed = {f.name: float(d) for f, d in zip(fit.model.free, step, strict=False)}
+        return loss_at(fit, {name: fit.values[name] + d for name, d in changed.items()})
+
+    assert at(0.0) == pytest.approx(0.0, abs=0.02)
+    assert at(1.0) == pytest.approx(0.5, abs=0.1)
+    assert at(-6.0) == pytest.approx(18.0, rel=0.1)

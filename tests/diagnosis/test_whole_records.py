@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from bristle.common.metrics import fit_percent, mse_percent, rms
 from bristle.diagnosis import Model, Record, diagnose
 from bristle.diagnosis.answer import Estimate
+from bristle.diagnosis.checks.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.estimation.simulator import (
     Servo,
     fixed_values,
@@ -23,6 +24,7 @@ from bristle.diagnosis.estimation.uncertainty import refitted_estimates
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.validation.long_simulation import (
     GROWTH,
+    Grown,
     Records,
     general_horizon,
     open_loop,
@@ -31,7 +33,7 @@ from bristle.diagnosis.validation.long_simulation import (
     stays,
     with_fitted_starts,
 )
-from bristle.diagnosis.validation.whole_records import _whole_records
+from bristle.diagnosis.validation.whole_records import _is_contradicted, _Long, _whole_records
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -66,6 +68,18 @@ def record(
 
 def records(*given: Record) -> Records:
     return Records(given, False, 1e-6, 1e-9)
+
+
+def described() -> Model:
+    return Model.from_dict(
+        {
+            "friction": "coulomb",
+            "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
+            "time": {"column": "t", "unit": "s"},
+            "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+            "output": {"column": "y", "kind": "position", "unit": "rad"},
+        }
+    )
 
 
 # -- metrics ---------------------------------------------------------------------------------------
@@ -182,15 +196,7 @@ def test_a_refit_is_kept_where_the_model_is_to_blame_for_the_drift_only():
 
 
 def test_intervals_hold_at_both_ends():
-    model = Model.from_dict(
-        {
-            "friction": "coulomb",
-            "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
-            "time": {"column": "t", "unit": "s"},
-            "input": {"column": "u", "kind": "torque", "unit": "N.m"},
-            "output": {"column": "y", "kind": "position", "unit": "rad"},
-        }
-    )
+    model = described()
     own = records(record(1, load=0.003), record(2, load=0.003))
     fit = refit_growing(open_loop_servo(SERVO), TRUE, own, SEGMENT).fit
     first = {
@@ -256,3 +262,15 @@ def test_a_diagnosis_reports_whole_records(case):
         *(f"{e['name']}.{p}" for e in content["effects"] for p in e["parameters"]),
     }
     assert any("open loop" in line for line in found.statement)
+
+
+@pytest.mark.parametrize(("inertia", "contradicted"), [(1.0, False), (1.3, True)])
+def test_a_refit_that_the_motion_contradicts_is_not_kept(inertia: float, contradicted: bool):
+    """Over whole records a disturbance may be followed by a wrong inertia."""
+    model = replace(described(), effects={"bias": {"torque": 0.01}})
+    dataset = dataset_of(model, [record(1, load=0.003), record(2, load=0.003)])
+    servo, values = base_servo_of(model, dataset)
+    case = SimpleNamespace(model=model, dataset=dataset, final=SimpleNamespace(servo=servo))
+    refitted = SimpleNamespace(values={**values, "J": inertia * values["J"]})
+    long = _Long(servo, values, Grown(1.6, False, refitted))
+    assert _is_contradicted(case, long) == contradicted

@@ -260,11 +260,11 @@ def open_loop_line(whole: WholeRecords, segment: float, follows: bool = False) -
     # which parameters it has
     if not whole.refitted:
         longer = f"a refit to more than segments of {segment:.3g} s"
-        why = (
-            f"{longer} does not lower the error where it was not fitted"
-            if whole.tried
-            else f"{longer} was not tried"
-        )
+        why = f"{longer} does not lower the error where it was not fitted"
+        if not whole.tried:
+            why = f"{longer} was not tried"
+        elif whole.contradicted:
+            why = f"{longer} contradicts the motion that slides"
         return f"{line}. It is not refitted to that: {why}."
     to = (
         "whole records"
