@@ -12,6 +12,7 @@ from bristle.common.columns import Array, Columns
 from bristle.common.errors import BristleError, suggest
 from bristle.common.table import factor_to
 from bristle.common.unit_names import COUNTS, unit_symbol
+from bristle.records.formats.own_rows import at_rows_of, own_rows
 from bristle.records.headings import UNITS, Heading, heading
 from bristle.records.intake import WRAP_SHARE
 from bristle.records.kinematics import NO_KINEMATICS, Kinematics, motion_in
@@ -90,8 +91,13 @@ class Files:
         first = next(iter(tables.values()))
         if first.times:
             wanted = first.times.get(asked.get("time", asked.get("output", "")))
-            time = wanted or _most_like_a_servo(cls(tables, units), first)
+            time = wanted or _most_like_a_servo(cls(tables, units), first.times)
             tables = {path: table.at(time) for path, table in tables.items()}
+        elif sparse := own_rows(first):
+            full = next((name for name in first if name not in sparse), "")
+            groups = {name: sparse.get(name, full) for name in first}
+            rows = asked.get("output") or _most_like_a_servo(cls(tables, units), groups)
+            tables = {path: at_rows_of(table, rows) for path, table in tables.items()}
         return cls(tables, units)
 
     @property
@@ -149,18 +155,21 @@ class Files:
         return found
 
 
-def _most_like_a_servo(files: Files, table: Columns) -> str:
-    """Return the time of the topic that holds a motion and what drives it, the longest of several
-    alike.
+def _most_like_a_servo(files: Files, groups: Mapping[str, str]) -> str:
+    """Return the group of columns, of one time or of the same rows, that holds a motion and what
+    drives it, the longest of several alike; `groups` gives that of each column.
     """
+    table = next(iter(files.tables.values()))
 
-    def rank(time: str) -> tuple[int, int, int]:
-        own = [files.heading(name) for name, its in table.times.items() if its == time]
+    def rank(group: str) -> tuple[int, int, int]:
+        names = [name for name, its in groups.items() if its == group]
+        own = [files.heading(name) for name in names]
         measured = {h.quantity for h in own if not (h.setpoint or h.unwanted)}
         moves = 2 * ("position" in measured) + ("velocity" in measured)
-        return moves, len(measured & set(INPUT_UNITS)), len(table[time])
+        length = int(np.isfinite(table[names[0]]).sum())
+        return moves, len(measured & set(INPUT_UNITS)), length
 
-    return max(dict.fromkeys(table.times.values()), key=rank)
+    return max(dict.fromkeys(groups.values()), key=rank)
 
 
 def candidates(

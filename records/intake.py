@@ -17,6 +17,7 @@ from bristle.common.errors import BristleError
 from bristle.common.table import Array, Columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.differences import summed
+from bristle.records.formats.own_rows import at_rows_of
 from bristle.records.formats.reading import read_columns
 from bristle.records.layout import GOAL, LOAD, Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
@@ -210,6 +211,7 @@ def _must_be_layout(layout: object) -> None:
 
 def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     columns = columns.at(layout.time.column) if layout.time else columns
+    columns = at_rows_of(columns, layout.output.column)
     columns = signed_input(layout, columns)
     found = {
         key: si_column(

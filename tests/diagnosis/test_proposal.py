@@ -54,6 +54,29 @@ def plain(folder, header="t,u,theta", change=lambda t, u, y: (t, u, y)):
     return folder / "run.csv"
 
 
+@pytest.mark.parametrize("late", [0.0, 0.23e-3], ids=["at the same times", "later"])
+def test_signals_may_have_rows_of_their_own(tmp_path, late):
+    """As plotting tools write them: each sample is a row, in which all other fields are empty."""
+    record, n = servo_records()[0], round(SECONDS * 1e3)
+    t, empty = np.arange(n) * 1e-3, np.full(n, "")
+    inputs = np.column_stack([t, record.u[:n], empty])
+    outputs = np.column_stack([t + late, empty, record.theta[:n]])
+    rows = np.stack([inputs, outputs], axis=1).reshape(-1, 3)
+    path = tmp_path / "run.csv"
+    np.savetxt(path, rows, delimiter=",", header="t,torque,angle", comments="", fmt="%s")
+    found = propose([path])
+    roles = [each.column.column for each in (found.time, found.input, found.output)]
+    assert roles == ["t", "torque", "angle"]
+    (tmp_path / "model.toml").write_text(model_text(found, "bristle init"))
+    model = load_model(tmp_path / "model.toml")
+    [given] = load_records(model, [path])
+    assert np.array_equal(given.y, record.theta[:n])
+    assert np.array_equal(given.u, record.u[:n])
+    assert any(
+        "rows of their own; taken at those of 'angle'" in said(line) for line in given.findings
+    )
+
+
 def test_a_second_position_is_offered_as_that_of_the_load(tmp_path):
     def change(t, u, y):
         return t, u, y, y + 0.01 * np.sign(np.gradient(y))

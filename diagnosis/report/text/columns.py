@@ -52,8 +52,11 @@ def _values(columns: Columns, name: str) -> str:
     values = columns[name][np.isfinite(columns[name])]
     if not len(values):
         return "empty"
-    low, high = (f"{x:.4g}" for x in (values.min(), values.max()))
+    first, last = float(values.min()), float(values.max())
+    if name in columns.clocks:
+        return f"{last - first:.4g} s from {first:.10g} s  (time)"
+    low, high = f"{first:.4g}", f"{last:.4g}"
     said = heading(name, columns.units.get(name))
     about = " ".join(filter(None, ("setpoint" if said.setpoint else "", said.quantity, said.unit)))
-    span = f"constant {low}" if low == high else f"{low} to {high}"
+    span = f"constant {low}" if first == last else f"{low} to {high}"
     return f"{span}  ({about})" if about else span
