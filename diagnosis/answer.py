@@ -6,7 +6,7 @@ user holds comes by them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -34,7 +34,6 @@ LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
 CERTAIN_P = 0.03  # p over all views up to which a share is taken for real
 MIN_SHARE = 0.15  # share of the residual's power that a view must predict to be reported
 
-Progress = Callable[[str, float], None]  # told what is done, and the fraction that is
 Verdict = Literal["named", "tie", "none", "not_identifiable"]
 Outcome = Literal["none", "rejected", "limit", "tie", "added", "withdrawn"]
 

@@ -11,11 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from bristle.common.deadline import until
 from bristle.common.errors import BristleError
+from bristle.common.progress import Progress, teller
 from bristle.diagnosis.answer import (
     Diagnosis,
     Finding,
     Line,
-    Progress,
     Reason,
     Validation,
     finding,
@@ -109,7 +109,8 @@ def diagnose(
     records : sequence of Record
         From `load_records` or `records_from_arrays`; two or more are better than one.
     progress : function, optional
-        Called with a text and the fraction done.
+        Called with a text and the fraction done; by default both are shown on a terminal and in a
+        notebook.
     options : SearchOptions, optional
         Of the search; its progress is reported to `progress`.
 
@@ -126,14 +127,14 @@ def diagnose(
         constant in all, or the model cannot be simulated.
     """
     check_arguments(model, records)
-    tell = teller(progress)
     prepare = prepared_case if model.controller is None else following_case
-    answer = search_prepared(
-        lambda given, notes: prepare(model, given, notes, tell),
-        as_inputs(model, records),
-        tell,
-        options,
-    )
+    with teller("diagnose", progress) as tell:
+        answer = search_prepared(
+            lambda given, notes: prepare(model, given, notes, tell),
+            as_inputs(model, records),
+            tell,
+            options,
+        )
     return replace(
         answer,
         between=between_sensors(model, records),
@@ -162,7 +163,8 @@ def diagnose_fmu(
     records : sequence of Record
         From `load_records` or `records_from_arrays`; two or more are better than one.
     progress : function, optional
-        Called with a text and the fraction done.
+        Called with a text and the fraction done; by default both are shown on a terminal and in a
+        notebook.
     options : SearchOptions, optional
         Of the search; its progress is reported to `progress`.
     timeout : float, optional
@@ -182,12 +184,13 @@ def diagnose_fmu(
         are too short.
     """
     check_arguments(model, records)
-    tell, fmu = teller(progress), plant_fmu(fmu_path, model)
+    fmu = plant_fmu(fmu_path, model)
+    with teller("diagnose", progress) as tell:
 
-    def prepare(given: Sequence[Record], notes: tuple[Line, ...]) -> PreparedCase | Diagnosis:
-        return prepared_fmu_case(fmu, model, given, notes, (tell, timeout))
+        def prepare(given: Sequence[Record], notes: tuple[Line, ...]) -> PreparedCase | Diagnosis:
+            return prepared_fmu_case(fmu, model, given, notes, (tell, timeout))
 
-    answer = search_prepared(prepare, as_inputs(model, records), tell, options)
+        answer = search_prepared(prepare, as_inputs(model, records), tell, options)
     return replace(
         answer,
         between=between_sensors(model, records),
@@ -289,16 +292,6 @@ def _cut_short(outcome: SearchOutcome, budget: Budget, later: Sequence[Finding])
 def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
     """Return the options of a search that reports its progress as a part of the whole diagnosis."""
     return replace(options, progress=lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
-
-
-def teller(progress: Progress | None) -> Progress:
-    """Return what progress is reported to, if any; raise `BristleError` if it is no function."""
-    if not (progress is None or callable(progress)):
-        raise BristleError(
-            f"progress is a {type(progress).__name__}; give a function of a text and the fraction"
-            " done, or None"
-        )
-    return progress or (lambda text, fraction: None)
 
 
 # -- validation ------------------------------------------------------------------------------------

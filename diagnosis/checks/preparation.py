@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bristle.common.errors import BristleError
+from bristle.common.progress import Progress
 from bristle.common.table import Array
-from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Progress, Reason, finding
+from bristle.diagnosis.answer import Diagnosis, Finding, Gap, Line, Reason, finding
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
 from bristle.diagnosis.checks.plausibility import Plausibility, check

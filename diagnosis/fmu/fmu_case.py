@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.answer import Diagnosis, Finding, Line, Progress, Reason, finding
+from bristle.common.progress import Progress
+from bristle.diagnosis.answer import Diagnosis, Finding, Line, Reason, finding
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,

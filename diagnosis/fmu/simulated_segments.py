@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from bristle.common.errors import RestartError
+from bristle.common.progress import Progress
 from bristle.common.table import Array
-from bristle.diagnosis.answer import Finding, Progress, Reason, finding
+from bristle.diagnosis.answer import Finding, Reason, finding
 from bristle.diagnosis.estimation.dataset import (
     STATE_SMOOTHING,
     Dataset,

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bristle.diagnosis.answer import Line, Progress, Reason, finding
+from bristle.common.progress import Progress
+from bristle.diagnosis.answer import Line, Reason, finding
 from bristle.diagnosis.checks.preparation import (
     PreparedCase,
     base_servo_of,

@@ -4,6 +4,7 @@ loops too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -44,8 +45,8 @@ def sliding_estimates(
     friction, whose intervals by segments are too short where bristles or the encoder's steps decide
     when the servo sticks, and of all that it shows with intervals that are not much wider.
 
-    The others keep their values: what acts at low speed, such as Stribeck friction, does not show
-    while the servo slides, and effects that switch have likelihoods without useful slopes.
+    The others stay within their intervals: what acts at low speed, such as Stribeck friction, does
+    not show while the servo slides, and effects that switch have likelihoods without useful slopes.
     """
     kept = {**fitted.fit.values, **{name: e.value for name, e in before.items()}}
     own = [f for f in fitted.servo.free if f.name in before]
@@ -64,8 +65,20 @@ def sliding_estimates(
             if _is_of_motion(name) or _width(found[name]) <= MUCH_WIDER * _width(before[name])
         }
         if closer == shown:
-            return {**before, **found}
+            return _moved(before, slides) | found
         shown = closer
+
+
+def _moved(before: Estimates, slides: SlidingFit) -> dict[str, Estimate]:
+    """Return the estimates of the segments, within their intervals as they go with those of the
+    sliding motion: a wider dead zone leaves less dry friction.
+    """
+
+    def within(name: str, estimate: Estimate) -> float:
+        low, high = estimate.ci95 or (-math.inf, math.inf)
+        return float(min(max(slides.values.get(name, estimate.value), low), high))
+
+    return {name: replace(each, value=within(name, each)) for name, each in before.items()}
 
 
 def _known(free: Free, estimate: Estimate) -> Free:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bristle.diagnosis.answer import Reason, finding
+from bristle.diagnosis.answer import Estimate, Reason, finding
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.criterion import TrialRound
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.sliding_choice import by_sliding
 from bristle.diagnosis.selection.start_values import SearchContext
+from bristle.diagnosis.stages.sliding_motion import _moved
 
 NAMES = ("bias", "quadratic_drag", "stribeck", "cogging", "gain_asymmetry", "backlash")
 
@@ -67,3 +69,11 @@ def test_an_effect_that_would_show_and_does_not_is_denied(case) -> None:
     assert decided(denied) == ("rejected", "cogging", Reason.NOT_SLIDING)
     assert decided(added("cogging", amplitude=0.001, **cogging))[0] == "added"
     assert decided(added("backlash", play=0.1, stiffness=50.0))[0] == "added"
+
+
+@pytest.mark.parametrize(("by_motion", "taken"), [(1.05, 1.05), (1.3, 1.1), (None, 1.0)])
+def test_what_segments_show_goes_with_the_motion_within_its_interval(by_motion, taken) -> None:
+    values = {} if by_motion is None else {"dead_zone.width": by_motion}
+    given = Estimate(1.0, "N.m", (0.9, 1.1))
+    moved = _moved({"dead_zone.width": given}, SimpleNamespace(values=values))
+    assert moved == {"dead_zone.width": replace(given, value=taken)}

@@ -26,7 +26,6 @@ from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import model_text
 from bristle.diagnosis.report.text.said import said
 from bristle.diagnosis.stages import conclusion
-from bristle.diagnosis.workflow import teller
 from bristle.fmus import build
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
@@ -301,7 +300,7 @@ def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_an
     t, u, y, _ = measured("gravity", 1)
     for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest segment
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
-        case = prepare.prepared_case(model, records, (), teller(None))
+        case = prepare.prepared_case(model, records, (), lambda text, share: None)
         assert isinstance(case, prepare.PreparedCase)
         case = case.otherwise() if case.otherwise else case
         lines = [said(note) for note in case.later]
@@ -388,7 +387,6 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
     [
         (lambda model, out: fmu_model(None), "the FMU is a NoneType; give the path"),
         (lambda model, out: write(None, out), "the diagnosis is a NoneType; give what diagnose"),
-        (lambda model, out: teller(3), "progress is a int; give a function"),
         (
             lambda model, out: build("plant", out, law="coulomb", effects="bias"),
             r"give a list of names: \['bias'\]",
