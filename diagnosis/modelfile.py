@@ -292,7 +292,8 @@ class _File:
                 f"outside {interval(parameter.minimum, parameter.maximum, unit)}; choose a value in"
                 " that interval"
             )
-            raise self.mistake(key, value, f"{message} ({parameter.description})")
+            about = Wording(self.layout.linear).fill(parameter.description)
+            raise self.mistake(key, value, f"{message} ({about})")
         return number
 
 

@@ -91,7 +91,7 @@ CONTROLLER = Effect(
         _parameter("kd", "kd", "N.m.s/rad", (0.0, 0.0, 1e12), "{torque} over error of velocity"),
         _parameter("lag", "tau", "s", (0.0, 0.0, 0.05), "lag of the position that it sees"),
         _parameter("offset", "e_1", "rad", (0.0, -1e3, 1e3), "what its position reads too little"),
-        _parameter("limit", "T_max", "N.m", (1e12, 0.0, 1e12), "largest {torque} it asks for"),
+        _parameter("limit", "T_max", "N.m", (1e12, 1e-12, 1e12), "largest {torque} it asks for"),
         _parameter("weight", "w", "1", (1.0, 0.0, 2.0), "weight of the setpoint beside kp"),
         _parameter("forward", "f", "1", (1.0, 0.0, 2.0), "weight of the setpoint's rate beside kd"),
         _parameter("friction", "c", "N.m", (0.0, 0.0, 1e12), "{torque} along the setpoint's rate"),

@@ -19,7 +19,7 @@ from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.differences import summed
 from bristle.records.formats.own_rows import at_rows_of
 from bristle.records.formats.reading import read_columns
-from bristle.records.layout import GOAL, LOAD, Layout
+from bristle.records.layout import GOAL, LOAD, SETPOINT, Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.resolution import common_step
 from bristle.records.sensor import (
@@ -330,6 +330,11 @@ def _must_be_driven(layout: Layout, records: Sequence[Record], where: str) -> No
         seen = f"input is constant ({records[0].u[0]:g} {layout.input_unit}) in every record"
         raise BristleError(
             f"record {where}: {seen}; check [input] column, and give a record in which it varies"
+        )
+    if layout.input_kind == SETPOINT and all(_same(each.u, each.y) for each in records):
+        raise BristleError(
+            f"record {where}: goal and output hold the same values in every record; give the"
+            " position that was measured as [output] column"
         )
 
 

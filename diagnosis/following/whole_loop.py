@@ -67,7 +67,8 @@ def following_case(
         likeliest, dataset, base = _fitted(_without_weight(likeliest), records)
     kp = (likeliest.controller or {})["kp"]
     said = finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
-    return PreparedCase(likeliest, records, dataset, base, notes, (said,))
+    later = () if "kp" in (model.controller or {}) else (said,)
+    return PreparedCase(likeliest, records, dataset, base, notes, later)
 
 
 def _fitted(model: Model, records: Sequence[Record]) -> Case:

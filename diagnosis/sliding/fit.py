@@ -278,7 +278,7 @@ def fit_sliding(model: SlidingModel, values: Mapping[str, float]) -> SlidingFit 
     """Return the likeliest fit from the values of all parameters; None where too little slides or
     the torque is no function of the motion.
     """
-    if len(model.over.counted) < LEAST_COUNTED:
+    if len(model.over.counted) < LEAST_COUNTED or not model.drive(values):
         return None
     try:
         return _within_what_slides(climb(_begun(model, values)))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +66,24 @@ def read_tdms(path: Path) -> Columns:
     return from_groups(path, groups())
 
 
+def _opened(
+    path: Path, library: Callable[[Path], AbstractContextManager[Any]]
+) -> AbstractContextManager[Any]:
+    """Return an open file; what a library has half made of a broken one fails again when it is
+    deleted, which nobody needs to see.
+    """
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        try:
+            return library(path)
+        except Exception as error:  # the library has its own
+            said = " ".join(str(error).split())
+        gc.collect()
+    finally:
+        sys.unraisablehook = hook
+    raise BristleError(f"record {path}: cannot be read: {said}; check the file")
+
+
 def read_mdf(path: Path) -> Columns:
     """Return the channels of an MDF file of version 3 or 4."""
     with needed(path, "MDF", "asammdf"):
@@ -72,7 +93,7 @@ def read_mdf(path: Path) -> Columns:
             raise BristleError(f"record {path}: is no MDF file; check its name")
 
     def groups() -> Iterator[Group]:
-        with MDF(path) as file:
+        with _opened(path, MDF) as file:
             all_groups: list[Any] = file.groups
             for k, group in enumerate(all_groups):
                 signals = [

@@ -151,7 +151,8 @@ def test_a_goal_in_the_unit_of_a_velocity_is_summed_as_its_output_is():
     ("change", "said"),
     [
         ({"controller": {"kq": 1.0}}, "no parameter of a controller"),
-        ({"controller": {"kp": -1.0}}, "outside"),
+        ({"controller": {"kp": -1.0}}, "(torque over error of position)"),
+        ({"controller": {"limit": 0.0}}, "outside"),
         ({"input": {"column": "u", "kind": "torque", "unit": "N.m"}, "controller": {}}, "setpoint"),
         (
             {"output": {"column": "v", "kind": "velocity", "unit": "rad/s"}},
@@ -178,6 +179,13 @@ def test_the_observers_of_a_scenario_need_what_drives_the_servo(tmp_path):
     (tmp_path / "s.toml").write_text("\n".join(lines) + "\n")
     with pytest.raises(BristleError, match=r"record.input.kind.*observers need what drives"):
         read_samples(load(tmp_path / "s.toml"))
+
+
+def test_a_goal_that_is_the_position_itself_is_no_goal():
+    model, [record, *_] = records_of({"kp": 6.0}, seconds=3.0)
+    same = [("a", record.time, record.y, record.y)]
+    with pytest.raises(BristleError, match="goal and output hold the same values"):
+        records_from_arrays(model, same)
 
 
 def test_a_controller_that_is_not_known_is_not_validated():

@@ -267,3 +267,17 @@ def test_a_format_without_its_library_says_what_to_install(module, tmp_path, mon
     path.write_bytes(b"x")
     with pytest.raises(BristleError, match=r"pip install 'bristle\[logs\]'"):
         read_columns(path)
+
+
+def test_an_mdf_file_that_breaks_off_is_one_line(tmp_path, capfd):
+    whole = tmp_path / "whole.mf4"
+    from asammdf import MDF, Signal
+
+    with MDF() as file:
+        file.append([Signal(samples=U, timestamps=T, name="u")])
+        file.save(whole)
+    (tmp_path / "part.mf4").write_bytes(whole.read_bytes()[:200])
+    with pytest.raises(BristleError, match=r"cannot be read: .*; check the file"):
+        read_columns(tmp_path / "part.mf4")
+    gc.collect()
+    assert capfd.readouterr().err == ""
