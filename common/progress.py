@@ -13,7 +13,7 @@ from bristle.common.errors import BristleError
 
 Progress = Callable[[str, float], None]  # told what is done, and the fraction that is
 SECONDS_BETWEEN = 0.2  # s: least time between two changes of the line
-WIDTH = 78  # characters of the line
+LINE_WIDTH = 78  # characters of the line
 
 
 @contextmanager
@@ -44,7 +44,7 @@ def teller(name: str, progress: Progress | None) -> Iterator[Progress]:
 
 
 def _write(line: str) -> None:
-    sys.stderr.write(f"\r{line[:WIDTH]:<{WIDTH}}\r")
+    sys.stderr.write(f"\r{line[:LINE_WIDTH]:<{LINE_WIDTH}}\r")
     sys.stderr.flush()
 
 

@@ -255,6 +255,8 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
         initial_sd = np.column_stack(
             [np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])]
         )
+        # the slope of a parabola has four times the error at its end
+        initial_sd[:1, 1] *= 4
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
     return Piece(
         name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u)
