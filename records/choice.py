@@ -97,7 +97,7 @@ class Files:
             full = next((name for name in first if name not in sparse), "")
             groups = {name: sparse.get(name, full) for name in first}
             rows = asked.get("output") or _most_like_a_servo(cls(tables, units), groups)
-            tables = {path: at_rows_of(table, rows) for path, table in tables.items()}
+            tables = {path: at_rows_of(table, rows, table) for path, table in tables.items()}
         return cls(tables, units)
 
     @property

@@ -211,7 +211,8 @@ def _must_be_layout(layout: object) -> None:
 
 def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     columns = columns.at(layout.time.column) if layout.time else columns
-    columns = at_rows_of(columns, layout.output.column)
+    used = {column.column for column, _ in layout.columns.values()}
+    columns = at_rows_of(columns, layout.output.column, used)
     columns = signed_input(layout, columns)
     found = {
         key: si_column(

@@ -4,6 +4,8 @@ times: the other fields of such a row are empty.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from bristle.common.columns import Array, Columns
@@ -24,11 +26,11 @@ def own_rows(columns: Columns) -> dict[str, str]:
     }
 
 
-def at_rows_of(columns: Columns, name: str) -> Columns:
-    """Return the rows of a column, its own if it has such, in which those that have others are as
-    they were last known, NaN before.
+def at_rows_of(columns: Columns, name: str, used: Collection[str]) -> Columns:
+    """Return the rows of a column, its own if it has such, in which those of the used columns that
+    have others are as they were last known, NaN before.
     """
-    sparse = own_rows(columns)
+    sparse = {each: first for each, first in own_rows(columns).items() if each in used}
     if not sparse or name not in columns:
         return columns
     rows = np.isfinite(columns[name]) if name in sparse else np.full(len(columns[name]), True)

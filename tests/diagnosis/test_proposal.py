@@ -77,6 +77,14 @@ def test_signals_may_have_rows_of_their_own(tmp_path, late):
     )
 
 
+def test_a_column_that_nobody_uses_may_be_nearly_empty(tmp_path):
+    battery = np.where(np.arange(round(SECONDS * 1e3)) % 100, np.nan, 24.0)
+    path = plain(tmp_path, "t,u,theta,battery", lambda t, u, y: (t, u, y, battery))
+    (tmp_path / "model.toml").write_text(model_text(propose([path]), "bristle init"))
+    [given] = load_records(load_model(tmp_path / "model.toml"), [path])
+    assert not any("rows of their own" in said(line) for line in given.findings)
+
+
 def test_a_second_position_is_offered_as_that_of_the_load(tmp_path):
     def change(t, u, y):
         return t, u, y, y + 0.01 * np.sign(np.gradient(y))
