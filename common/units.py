@@ -44,6 +44,8 @@ _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "mV": (1e-3, {"kg": 1, "m": 2, "s": -3, "A": -1}),
 }
 
+# a number with its unit right behind it, as in 5ms
+_GLUED = re.compile(r"((?>[-+]?[\d.]+(?:[eE][-+]?\d+)?))(\S.*)")
 FREEZING = 273.15  # K
 
 
@@ -131,7 +133,7 @@ def interval(low: float, high: float, unit: str = "1") -> str:
 
 
 def quantity(given: str | float | int, si_unit: str) -> float:
-    """Read a physical value such as ``"75 deg/s"`` and return it in `si_unit`.
+    """Read a physical value such as ``"75 deg/s"`` or ``"5ms"`` and return it in `si_unit`.
 
     A bare number is accepted only for the unit ``1``.
 
@@ -144,7 +146,9 @@ def quantity(given: str | float | int, si_unit: str) -> float:
         raise BristleError(
             f'{given!r} is not a quantity; write a number with a unit such as "1 {si_unit}"'
         )
-    number, _, unit = str(given).strip().partition(" ")
+    text = str(given).strip()
+    glued = _GLUED.fullmatch(text)
+    number, unit = glued.groups() if glued else text.partition(" ")[::2]
     try:
         value = float(number)
     except ValueError:

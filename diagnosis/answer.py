@@ -77,6 +77,7 @@ class Reason(StrEnum):
     LITTLE_MOTION = "little_motion"
     KNOWN_TORQUE_OFF = "known_torque_off"
     RATIOS_TO_GAIN = "ratios_to_gain"
+    SCALED_TO_GAIN = "scaled_to_gain"
     OUTSIDE_BOUNDS = "outside_bounds"
     COMMON_FACTOR = "common_factor"
     INPUT_CHANGES = "input_changes"

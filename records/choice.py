@@ -25,6 +25,7 @@ USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, 
 SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 SHOWN_COLUMNS = 12  # columns that an error lists at most
 # 0: the first choice
+MOTION = ("position", "velocity")
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}
 # of a setpoint among inputs and outputs, of u and y, of a column of any other name
 SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20
@@ -207,6 +208,12 @@ def _none_found(files: Files, role: str, asked: str | None, names: Sequence[str]
     alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
     more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
     why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
+    if role == "input" and {files.heading(name).quantity for name in names} <= {*MOTION}:
+        return BristleError(
+            f"record {next(iter(files.tables))}: no column is an input, and motion alone does not"
+            " tell what moved it; log the torque, force, voltage, current or goal as well, or give"
+            f" the column with --input: {_listed(names)}{more}"
+        )
     rate = ', or the sampling rate, --rate "200 Hz"' if role == "time" else ""
     return BristleError(
         f"record {next(iter(files.tables))}: no column is likely to be the {role}{why}; give it"
@@ -299,7 +306,11 @@ def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:
             Column(column=h.name, unit="s" if clock else str(h.unit)), "time", 0, scatter=scatter
         )
     unit = _time_unit(values)
-    doubt = f"the unit of time '{h.name}' is not given; {unit} is assumed"
+    step = float(np.median(np.diff(values)))
+    doubt = (
+        f"the unit of time '{h.name}' is not given; {unit} is assumed, a sample every"
+        f" {step:.4g} {unit}"
+    )
     return Candidate(Column(column=h.name, unit=unit), "time", 1, (doubt,), scatter)
 
 
@@ -321,7 +332,7 @@ def _time_unit(values: Array) -> str:
 def _inputs(files: Files, asked: str | None) -> list[Candidate]:
     found = []
     for h in files.varying():
-        if h.setpoint and h.quantity in ("position", "velocity") and asked in (None, h.name):
+        if h.setpoint and h.quantity in MOTION and asked in (None, h.name):
             found += [goal] if (goal := _goal(files, h, h.quantity)) else []
             continue
         if asked not in (None, h.name) or (
@@ -380,12 +391,11 @@ def _outputs(files: Files, asked: str | None) -> list[Candidate]:
         elsewhere = (h.named and h.quantity in ("time", *INPUT_UNITS)) or _excluded(h, "input")
         if asked not in (None, h.name) or (asked is None and elsewhere):
             continue  # a column that is a voltage by its unit alone may be that of a sensor
-        if h.quantity in ("position", "velocity"):
+        if h.quantity in MOTION:
             found.append(_output(files, h, h.quantity))
         else:
             found += [
-                _output(files, replace(h, quantity=kind), kind, unknown=True)
-                for kind in ("position", "velocity")
+                _output(files, replace(h, quantity=kind), kind, unknown=True) for kind in MOTION
             ]
     return [each for each in found if each is not None]
 

@@ -58,7 +58,10 @@ def following_case(
 ) -> PreparedCase:
     """Return a model that follows a setpoint, fitted with the likeliest kind of controller."""
     tell("the controller", 0.0)
-    loops = _loops(model, records)
+    loops, asked = _loops(model, records), model
+    if "kp" in (model.controller or {}) and _at_bound(loops[0][1], records, J.name):
+        model = _in_units_of_gain(model, records)
+        loops = _loops(model, records)
     near = [each for error, each in loops if error <= NEAREST * loops[0][0]][:MOST_LOOPS]
     found = [_fitted(each, records) for each in near]
     likeliest, dataset, base = max(found, key=_likelihood)
@@ -66,9 +69,50 @@ def following_case(
         # the search is to find it, from what was found beside it
         likeliest, dataset, base = _fitted(_without_weight(likeliest), records)
     kp = (likeliest.controller or {})["kp"]
-    said = finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=model.unit(f"{CONTROLLER.name}.kp"))
-    later = () if "kp" in (model.controller or {}) else (said,)
+    unit = model.unit(f"{CONTROLLER.name}.kp")
+    if "kp" not in (model.controller or {}):
+        later = (finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=unit),)
+    elif model is not asked:
+        low, high = asked.bounds[J.name]
+        now = model.parameters[J.name]
+        scale = now / asked.parameters[J.name]
+        given = {"kp": kp, "unit": unit, "inertia": now, "inertia_unit": model.unit(J.name)}
+        later = (finding(Reason.SCALED_TO_GAIN, scale=scale, bounds=(low, high), **given),)
+    else:
+        later = ()
     return PreparedCase(likeliest, records, dataset, base, notes, later)
+
+
+def _at_bound(model: Model, records: Sequence[Record], name: str) -> bool:
+    """True if a parameter of a model is at an end of its bounds."""
+    servo, values = base_servo_of(model, dataset_of(model, records))
+    return any(f.at_binding_bound(values[f.name]) for f in servo.free if f.name == name)
+
+
+def _in_units_of_gain(model: Model, records: Sequence[Record]) -> Model:
+    """Return a model whose inertia, damping and friction, with their bounds, are all scaled so that
+    the inertia is the one that the records show under the gain that is given.
+    """
+    own = model.controller or {}
+    torques = {key for key in own if "N" in model.unit(f"{CONTROLLER.name}.{key}")}
+    free = {key: x for key, x in own.items() if key not in torques}
+    _, found = _loops(replace(model, effects={**model.effects, CONTROLLER.name: free}), records)[0]
+    kp = (found.controller or {})["kp"]
+    scale = own["kp"] / kp * found.parameters[J.name] / model.parameters[J.name]
+    scaled = {name for name in model.parameters if _is_torque(model, name)}
+    return replace(
+        model,
+        parameters={k: x * (scale if k in scaled else 1.0) for k, x in model.parameters.items()},
+        bounds={
+            k: (low * scale, high * scale) if k in scaled else (low, high)
+            for k, (low, high) in model.bounds.items()
+        },
+    )
+
+
+def _is_torque(model: Model, name: str) -> bool:
+    """True of inertia, damping and friction: what is proportional to the controller's gain."""
+    return name in (J.name, A2.name) or model.unit(name) in ("N.m", "N")
 
 
 def _fitted(model: Model, records: Sequence[Record]) -> Case:

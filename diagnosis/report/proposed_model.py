@@ -143,7 +143,7 @@ def _controller_lines(proposal: Proposal) -> list[str]:
     """Return the table of the controller, with what the records show of it as comments."""
     if proposal.controller is None:
         return []
-    about = "what you know of it; to give kp, scale J, a2, Fc and bounds by it over this one"
+    about = "what you know of it; a kp makes all torques absolute"
     shown = [
         _with(f"# {name} = {proposal.controller[name]:.3g}", CONTROLLER_WORDS[name])
         for name in CONTROLLER_WORDS

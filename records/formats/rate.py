@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from bristle.common.errors import BristleError
 from bristle.common.unit_names import unit_symbol
-from bristle.common.units import parse_unit, quantity
+from bristle.common.units import quantity
 
 _GIVEN = re.compile(
     r"""^[^\w]*
@@ -37,9 +37,11 @@ def rate_in(lines: Sequence[str]) -> float | None:
 
 def rate_of(given: str) -> float:
     """Return a sampling rate [Hz] that is given as one, ``200 Hz``, or as an interval, ``5 ms``."""
-    unit = given.strip().partition(" ")[2].strip()
-    interval = bool(unit) and parse_unit(unit).exponents == parse_unit("s").exponents
-    value = quantity(given, "s" if interval else "Hz")
+    try:
+        period = quantity(given, "s")
+    except BristleError:
+        period = None
+    value = quantity(given, "Hz") if period is None else period
     if value <= 0.0:
         raise BristleError("must be above 0")
-    return 1.0 / value if interval else value
+    return value if period is None else 1.0 / period

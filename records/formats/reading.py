@@ -71,7 +71,9 @@ def _read(path: Path) -> Columns:
     if reader is None:
         known = ", ".join((*READERS, *STREAMS, ZIP))
         raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {known}")
-    path.open("rb").close()  # what cannot be read says so before a library does
+    with path.open("rb") as file:  # what cannot be read says so before a library does
+        if not file.read(1):
+            raise BristleError(f"record {path}: is empty; record it anew")
     return reader(path)
 
 

@@ -326,7 +326,7 @@ def _complete(
             break
         elif surplus:
             raise BristleError(
-                f"record {path}: line {k + 1} has {len(row)} values, the header {width}; correct"
+                f"record {path}: line {k + 1} has {len(row)} values, most have {width}; correct"
                 " that line"
             )
         found.append(row)

@@ -304,7 +304,7 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
             "t,speed,angle",
             lambda t, u, y: (t, y, y),
             {},
-            "no column is likely to be the input; give it with --input COLUMN",
+            "motion alone does not tell what moved it",
         ),
         (
             "t,torque,temp",

@@ -11,9 +11,11 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, records_from_arrays, validate
 from bristle.diagnosis.checks.preparation import dataset_of, slides_of
 from bristle.diagnosis.following.controller import controllers
+from bristle.diagnosis.following.whole_loop import following_case
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.proposed_model import model_text as proposed_text
+from bristle.diagnosis.report.text.said import said as sentence
 from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.samples import read_samples
 
@@ -234,6 +236,23 @@ def test_what_is_known_stays():
     known = Model.from_dict(deepcopy(TREE) | {"controller": {"kp": 6.0}})
     found = controllers(known, slides_of(dataset_of(known, records)))[0].controller
     assert found["kp"] == 6.0
+
+
+@pytest.mark.long
+def test_a_gain_that_is_given_sets_the_scale_of_a_rough_model():
+    """A proposed model has an inertia of 1, from which no bounds reach that of the true gain."""
+    _, records = records_of({"kp": 6.0}, seconds=6.0)
+    tree = deepcopy(TREE) | {"controller": {"kp": 6.0}}
+    tree["parameters"] = {name: 100.0 * x for name, x in tree["parameters"].items()}
+    tree["bounds"] = {name: [100.0 * x for x in ends] for name, ends in tree["bounds"].items()}
+    case = following_case(Model.from_dict(tree), records, (), lambda name, share: None)
+    assert case.model.controller["kp"] == 6.0
+    for name, true in (("J", TRUE["J"]), ("coulomb.Fc", TRUE["Fc"])):
+        assert case.base.fit.values[name] == pytest.approx(true, rel=0.1)
+        assert case.model.bounds[name][1] < 20 * true
+    [note] = case.later
+    assert note.facts["scale"] == pytest.approx(0.01, rel=0.1)
+    assert "J, a2 and friction" in sentence(note)
 
 
 def test_without_a_setpoint_a_model_stays_as_it_is():

@@ -28,6 +28,9 @@ from bristle.plant.servo import servo_program
     [
         ("75 deg/s", "rad/s", 75 * math.pi / 180),
         ("20 ms", "s", 0.02),
+        ("5ms", "s", 0.005),
+        ("-2e3mm", "m", -2.0),
+        ("1e3 mm", "m", 1.0),
         ("0.001 kg.m2", "kg.m2", 0.001),
         ("40 mN.m", "N.m", 0.04),
         ("2 1/s", "1/s", 2.0),
@@ -47,6 +50,7 @@ def test_quantities(text, si, value):
     ("text", "complaint"),
     [
         ("20", "has no unit"),
+        ("1e3", "has no unit"),
         ("20 V", "does not fit"),
         ("20 foo", "'foo' is not known"),
         ("x ms", "not a quantity"),

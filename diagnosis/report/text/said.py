@@ -87,6 +87,12 @@ SENTENCES: dict[Reason, str] = {
         " controller's kp, taken as {kp:.4g} {unit}; only their ratios are known, so if you know kp"
         " or any one of them, scale all by it"
     ),
+    R.SCALED_TO_GAIN: (
+        "with kp = {kp:.4g} {unit} the records ask for an inertia of {inertia:.3g} {inertia_unit},"
+        " outside its bounds [{bounds[0]:.3g}, {bounds[1]:.3g}]: J, a2 and friction of the model,"
+        " and their bounds, were taken times {scale:.3g}; if that cannot be, kp or its unit is"
+        " wrong"
+    ),
     R.OUTSIDE_BOUNDS: (
         "{name} comes out near {value:.3g} {unit} without any effect, outside its bounds"
         " [{bounds[0]:.3g}, {bounds[1]:.3g}]; if that is true, widen them"
