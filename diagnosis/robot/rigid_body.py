@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -106,6 +107,18 @@ def _half_width(x: Array, h: float) -> float:
     return HALF_WIDTHS[-1]
 
 
+def _check_mass(path: Path, link: str, given: str | None) -> None:
+    """Refuse a mass that none can be."""
+    try:
+        possible = 0.0 <= float(given or "") < math.inf
+    except ValueError:
+        possible = False
+    if not possible:
+        raise BristleError(
+            f"URDF {path}: link '{link}': mass {given!r} must be a number of 0 kg or more"
+        )
+
+
 def _without_pictures(path: Path) -> tuple[str, list[str]]:
     """Return the text of a URDF without what is only drawn, and the names of its moving joints."""
     try:
@@ -120,6 +133,8 @@ def _without_pictures(path: Path) -> tuple[str, list[str]]:
         for name in DRAWN_PARTS:
             for part in link.findall(name):
                 link.remove(part)
+        for mass in link.findall("inertial/mass"):
+            _check_mass(path, str(link.get("name")), mass.get("value"))
     joints = [
         str(joint.get("name"))
         for joint in root.findall("joint")

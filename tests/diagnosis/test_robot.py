@@ -143,7 +143,14 @@ def test_mistakes_are_one_line(arm, old, new, said):
 
 
 def test_a_urdf_that_is_none_is_one_line(arm):
-    for text, said in (("<a", "no XML"), ("<a/>", "<robot>"), ("<robot/>", "no joint that moves")):
+    negative = URDF.replace(f'value="{M2}"', 'value="-1"')
+    for text, said in (
+        ("<a", "no XML"),
+        ("<a/>", "<robot>"),
+        ("<robot/>", "no joint that moves"),
+        (negative, "'lower': mass '-1' must be"),
+        (URDF.replace(f' value="{M2}"', ""), "'lower': mass None must be"),
+    ):
         (arm.parent / "arm.urdf").write_text(text)
         with pytest.raises(BristleError, match=said):
             load_arm(arm)
