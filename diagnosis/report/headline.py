@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from bristle.diagnosis.answer import Diagnosis, Named
 from bristle.diagnosis.report.figures.of_diagnosis import as_given
 from bristle.diagnosis.report.text.names import listed, titles_listed
+from bristle.diagnosis.report.text.statement import BETWEEN_WORDS
 
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 VERDICT_WORDS = {
@@ -19,7 +20,18 @@ NOT_ENOUGH = "Best of what I know, not enough"
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict as a heading; where that is not enough, it begins with that."""
+    """Return the verdict as a heading, after what two positions show at once."""
+    said, seen = _of_the_search(diagnosis), diagnosis.between
+    named = {e.name for e in diagnosis.effects}
+    parts = [] if seen is None or diagnosis.proposals else [x for x in seen.parts if x not in named]
+    if not parts:
+        return said
+    seen_there = listed([BETWEEN_WORDS[name][0] for name in parts], "and")
+    return f"Between motor and load: {seen_there}; {said[0].lower()}{said[1:]}"
+
+
+def _of_the_search(diagnosis: Diagnosis) -> str:
+    """Return what the search found; where that is not enough, it begins with that."""
     if diagnosis.proposals:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     if diagnosis.suspects:

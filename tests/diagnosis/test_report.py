@@ -17,6 +17,7 @@ import pytest
 from bristle.common.drawing import OTHER
 from bristle.diagnosis.answer import (
     OUTLIERS,
+    BetweenSensors,
     Diagnosis,
     Estimate,
     Excitation,
@@ -204,6 +205,16 @@ def test_where_much_is_unexplained_the_heading_says_so_and_no_name_is_amber(answ
     quiet = replace(diagnosis, remains=Unexplained(False, None, 0.0))
     assert "not enough" not in headline(quiet)
     assert (mark(quiet)[0] == "good") == (case == "named")
+
+
+def test_what_two_positions_show_at_once_comes_first(answer):
+    play = {"backlash": {"play": Estimate(0.02, "rad", (0.019, 0.021))}}
+    diagnosis = replace(answer("none"), between=BetweenSensors(play, 1e-2, 1e-4, "rad"))
+    assert headline(diagnosis).startswith("Between motor and load: a play; best of")
+    assert diagnosis.statement[0].startswith("Between the positions of motor and load: a play of")
+    nothing = replace(diagnosis, between=BetweenSensors({}, 1e-2, 1e-2, "rad"))
+    assert headline(nothing) == headline(answer("none"))
+    assert "nothing is seen" in nothing.statement[-1]
 
 
 @pytest.mark.parametrize("case", ["named", "tie", "none"])

@@ -70,23 +70,28 @@ def statement(d: Diagnosis) -> tuple[str, ...]:
         if d.whole is None
         else [open_loop_line(d.whole, d.whole.horizons[0].seconds, d.model.controller is not None)]
     )
-    between = () if d.between is None else (between_line(d.between),)
+    # parts that both positions show at once come first
+    between = [] if d.between is None else [between_line(d.between)]
+    first, last = (between, []) if d.between and d.between.parts else ([], between)
     seen = () if d.seen_controller is None else (controller_line(d.seen_controller),)
-    return (*leads, *answer_lines(d), *whole, *between, *seen)
+    return (*first, *leads, *answer_lines(d), *whole, *last, *seen)
 
 
-BETWEEN_WORDS = {
-    "backlash": "a play of {play}",
-    "compliance": "a compliance, on which the load swings at {frequency} while the motor is held",
-    "eccentric_encoder": "an eccentric encoder or wheel, amplitude {amplitude}",
-    "transmission_error": "a wave of the transmission, {periods} in a turn, amplitude {amplitude}",
+BETWEEN_WORDS = {  # what each part is, and how large
+    "backlash": ("a play", " of {play}"),
+    "compliance": ("a compliance", ", on which the load swings at {frequency} with a held motor"),
+    "eccentric_encoder": ("an eccentric encoder or wheel", ", amplitude {amplitude}"),
+    "transmission_error": (
+        "a wave of the transmission",
+        ", {periods} in a turn, amplitude {amplitude}",
+    ),
 }
 
 
 def between_line(between: BetweenSensors) -> str:
     """Return what lies between the positions of motor and load."""
     parts = [
-        BETWEEN_WORDS[name].format(
+        "".join(BETWEEN_WORDS[name]).format(
             **{key: value(e) if e.ci95 else f"{e.value:g}" for key, e in own.items()}
         )
         for name, own in between.parts.items()
