@@ -71,7 +71,7 @@ def following_case(
     kp = (likeliest.controller or {})["kp"]
     unit = model.unit(f"{CONTROLLER.name}.kp")
     if "kp" not in (model.controller or {}):
-        later = (finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=unit),)
+        later: tuple[Line, ...] = (finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=unit),)
     elif model is not asked:
         low, high = asked.bounds[J.name]
         now = model.parameters[J.name]
