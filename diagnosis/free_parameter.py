@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -11,10 +12,15 @@ from bristle.plant.effects import effect as find_effect
 
 START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
 
+# of what is anywhere in an interval of length 1 with the same probability
+EVEN_VARIANCE = 1.0 / 12.0
+
 
 @dataclass(frozen=True)
 class Free:
-    """A fitted parameter: its interval, whether its steps are factors, an optional prior."""
+    """A fitted parameter: its interval, whether its steps are factors, an optional prior. What
+    `repeats` is a phase [rad]: where it would leave the interval, whole turns are taken off.
+    """
 
     name: str
     low: float
@@ -22,6 +28,7 @@ class Free:
     factor: bool = False
     nominal: float | None = None  # mean of the prior, on the scale of the steps (`scaled`)
     prior_sd: float = 1.0  # its standard deviation, on the same scale
+    repeats: bool = False
 
     @property
     def nominal_value(self) -> float:
@@ -35,16 +42,26 @@ class Free:
         """
         return float(np.log(value)) if self.factor else value
 
+    @property
+    def precision(self) -> float:
+        """The inverse variance on the scale of the steps if all that is known is the interval."""
+        return 1.0 / (EVEN_VARIANCE * (self.scaled(self.high) - self.scaled(self.low)) ** 2)
+
     def clip(self, value: float) -> float:
         """Return the value moved into the interval."""
+        if self.repeats and not self.low <= value <= self.high:
+            return math.remainder(value, 2 * math.pi)
         return min(max(value, self.low), self.high)
 
     def leaves(self, value: float, step: float) -> bool:
         """True if a step from an end of the interval leads out of it."""
-        return bool((value <= self.low and step < 0) or (value >= self.high and step > 0))
+        outwards = (value <= self.low and step < 0) or (value >= self.high and step > 0)
+        return bool(outwards and not self.repeats)
 
     def at_bound(self, value: float) -> bool:
         """True at an end of the interval."""
+        if self.repeats:
+            return False
         near = 1e-9 * min(self.high - self.low, abs(self.low) + 1.0), 1e-9 * abs(self.high)
         return bool(value <= self.low + near[0] or value >= self.high - near[1])
 
@@ -79,5 +96,5 @@ def free_parameters(
             max(low, limits.get(p.name, (low, high))[0]),
             min(high, limits.get(p.name, (low, high))[1]),
         )
-        free.append(Free(p.name, low, high, factor))
+        free.append(Free(p.name, low, high, factor, repeats=p.repeats))
     return tuple(free)

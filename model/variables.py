@@ -32,6 +32,11 @@ class Parameter:
     source: str
     optional: bool = False
 
+    @property
+    def repeats(self) -> bool:
+        """True of a phase, a turn of which changes nothing."""
+        return self.unit == "rad" and self.name.rpartition(".")[2].startswith("phase")
+
     def check(self, value: float) -> float:
         """Return `value` if it lies in the interval, otherwise raise `BristleError`."""
         try:

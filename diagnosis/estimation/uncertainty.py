@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -41,9 +41,20 @@ def covariance(fit: Fit) -> Array:
     The spread of the segments' own scores stands for the noise. Source: white1982 (sandwich).
     """
     scores = fit.slopes * fit.weight[:, None]
-    inverse = np.linalg.pinv(fit.information, rcond=1e-14, hermitian=True)
     n = max(int(np.count_nonzero(fit.weight)) - len(fit.free), 1)
-    return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
+    return _sandwich(fit.free, fit.information, scores.T @ scores * (n + len(fit.free)) / n)
+
+
+def _sandwich(free: Sequence[Free], information: Array, scores: Array) -> Array:
+    """Return the covariance of parameters (free, free) from their information and the covariance of
+    their scores, each (free, free).
+
+    That each is somewhere in its interval counts as a measurement: what the records do not show,
+    such as the lag of a controller beside the damping, has the width of its interval, and not none.
+    """
+    anywhere = np.diag([f.precision for f in free])
+    inverse = np.linalg.pinv(information + anywhere, rcond=1e-14, hermitian=True)
+    return np.asarray(inverse @ (scores + anywhere) @ inverse)
 
 
 def block_covariance(fit: Fit) -> Array:
@@ -54,13 +65,13 @@ def block_covariance(fit: Fit) -> Array:
     blocks of it stands for that. Source: white1982 (sandwich), kunsch1989 (blocks).
     """
     own = fit.elimination.project(fit.by_parameter)
-    inverse = np.linalg.pinv(np.einsum("sbp,sbq->pq", own, own), rcond=1e-14, hermitian=True)
     blocks = [np.array_split(each, RECORD_BLOCKS, axis=1) for each in (own, fit.white)]
     scores = np.concatenate(
         [np.einsum("sbp,sb->sp", columns, white) for columns, white in zip(*blocks, strict=True)]
     )
     n = len(scores)
-    return np.asarray(inverse @ (scores.T @ scores) @ inverse * n / max(n - len(fit.free), 1))
+    spread = scores.T @ scores * n / max(n - len(fit.free), 1)
+    return _sandwich(fit.free, np.einsum("sbp,sbq->pq", own, own), spread)
 
 
 def refitted_estimates(

@@ -457,6 +457,9 @@ def _rough(
                 f"{name} comes out at {rough[name].value:g} {unit}, allowed {allowed}; give the"
                 " right units of the columns"
             )
+        low, high = max(rough[name].low, parameter.minimum), rough[name].high
+        ends = {"low": low, "high": min(high, parameter.maximum)}
+        rough[name] = replace(rough[name], **ends)
     return rough, doubts
 
 

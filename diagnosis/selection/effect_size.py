@@ -9,15 +9,12 @@ import numpy as np
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.optimiser import damped, gradient_of, refit_initial_states
-from bristle.diagnosis.free_parameter import Free
 
 LARGEST_FALL = 10.0  # most that the error of one segment counts as lowered, or raised, by
 # times the upper quartile of the segments' squared errors: most that one segment counts for
 OUTLIER_QUARTILES = 10.0
 # relative increase of each curvature, so that what one segment alone shows can be solved for
 FOLD_DAMPING = 1e-9
-# of what is anywhere in an interval of length 1 with the same probability
-EVEN_VARIANCE = 1.0 / 12.0
 
 
 def fall(before: Array, after: Array, acts: Array) -> float:
@@ -70,7 +67,7 @@ def predictive_density(held_out: Problem, fit: Fit) -> Array:
     own = weight[:, :, None] * np.matmul(
         columns.transpose(0, 2, 1), fit.elimination.project(columns)
     )
-    anywhere = np.diag([_precision(fit.free[i]) for i in inside])
+    anywhere = np.diag([fit.free[i].precision for i in inside])
     information = damped(fit.information[np.ix_(inside, inside)], FOLD_DAMPING) + anywhere
     lost = left_out_loss(own, weight * fit.slopes[:, inside], gradient_of(fit)[inside], information)
     return np.asarray(
@@ -95,9 +92,3 @@ def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) 
     drawn = np.einsum("sp,sp->s", others, np.linalg.solve(rest, others[:, :, None])[:, :, 0])
     wider = np.linalg.slogdet(information)[1] - np.linalg.slogdet(rest)[1]
     return np.asarray(0.5 * (drawn - gradient @ np.linalg.solve(information, gradient) + wider))
-
-
-def _precision(free: Free) -> float:
-    """Return the inverse variance of a parameter spread over its interval, on its steps' scale."""
-    length = free.scaled(free.high) - free.scaled(free.low)
-    return 1.0 / (EVEN_VARIANCE * length**2)

@@ -57,6 +57,19 @@ def joined(case, name):
     return found
 
 
+def test_a_phase_has_no_bound():
+    """Where it leaves its interval, it loses whole turns; what is no phase ends there."""
+    start = {"amplitude": 0.1, "periods": 3.0, "phase": 9.9}
+    free = {f.name: f for f in free_parameters("cogging", start, {})}
+    phase, amplitude = free["cogging.phase"], free["cogging.amplitude"]
+    assert phase.clip(9.9) == 9.9
+    assert phase.clip(phase.high + 0.1) == pytest.approx(phase.high + 0.1 - 4 * np.pi)
+    assert not phase.at_bound(phase.high)
+    assert not phase.leaves(phase.high, 1.0)
+    assert amplitude.clip(2 * amplitude.high) == amplitude.high
+    assert amplitude.at_bound(amplitude.high)
+
+
 @pytest.mark.slow
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(HIDDEN))

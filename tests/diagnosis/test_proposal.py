@@ -20,6 +20,7 @@ from bristle.diagnosis import diagnose, load_model, load_records
 from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.report.proposed_model import model_text, summary, write_model
 from bristle.diagnosis.report.text.said import said
+from bristle.plant.servo import J
 
 SECONDS = 7.0  # of each record: the regression needs no more
 RNG = np.random.default_rng(1)
@@ -265,6 +266,16 @@ def test_units_that_the_user_gives(tmp_path):
     assert any(
         "a lever of 1 m is assumed" in line for line in [said(each) for each in turned.doubts]
     )
+
+
+def test_bounds_of_a_tiny_motor_stay_within_what_a_parameter_may_be(tmp_path):
+    plain_file = plain(tmp_path, "t,torque,angle")
+    usual = propose(plain_file).rough["J"]
+    factor = 2e-9 / usual.value
+    tiny = propose(plain(tmp_path, "t,torque,angle", lambda t, u, y: (t, factor * u, y)))
+    assert tiny.rough["J"].value == pytest.approx(2e-9, rel=0.02)
+    assert tiny.rough["J"].low == J.minimum > usual.low * factor
+    tomllib.loads(model_text(tiny, "none"))
 
 
 def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):

@@ -363,11 +363,12 @@ def _wider_bounds(facts: Facts) -> str:
 
 def _at_bound(facts: Facts) -> str:
     value, (low, high) = facts["value"], facts["bounds"]
-    later = "" if facts["still"] else "; with what was found it does not"
     absent = value == 0.0 == low
     advice = "none is seen in these records" if absent else "widen it if it may be wrong"
+    if not facts["still"]:
+        advice = "with what was found it does not" + ("" if absent else f"; {advice}")
     where = f"its bound {value:.4g}{_unit(facts['unit'])} of [{low:.4g}, {high:.4g}]"
-    return f"the base refit of {facts['name']} ends at {where}{later}: {advice}"
+    return f"the base refit of {facts['name']} ends at {where}: {advice}"
 
 
 def _one_after_the_other(facts: Facts) -> str:
