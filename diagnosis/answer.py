@@ -590,7 +590,7 @@ class WholeRecords:
     segment_parameters: dict[str, Estimate]
     traces: tuple[RecordTrace, ...]  # in open loop, a value a sample
     tried: bool = True  # whether a refit was
-    contradicted: bool = False  # whether the motion that slides contradicts it
+    contradicted: bool = False  # whether short stretches contradict it
 
     @property
     def worse(self) -> bool:

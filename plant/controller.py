@@ -30,14 +30,17 @@ def _asked(c: Context) -> ca.SX:
     dead = ca.sign(error) * ca.fmax(ca.fabs(error) - c.p.dead_band, 0)
     rate = (c.p.goal - c.p.goal_before) / c.p.sample_time
     opposed = c.p.friction * rate / ca.fmax(ca.fabs(rate), c.p.slow)
-    weighted = dead + (c.p.weight - 1) * c.u
+    # integral action has settled before: what the weight leaves out at the start, it holds
+    settled = ca.if_else(c.p.ki > 0, c.p.goal_first, 0)
+    weighted = dead + (c.p.weight - 1) * (c.u - settled)
     damped = c.p.kd * (c.p.forward * rate - c.p.speed)
     return ca.SX(c.p.kp * weighted + c.p.integral_torque + damped + opposed)
 
 
 def command(c: Context) -> ca.SX:
     """T = kp (w r - y) + ki int(r - y) + kd (f r' - y') + c sgn(r'), at most the limit, with y the
-    position behind a lag: y' = (theta - y)/tau.
+    position behind a lag: y' = (theta - y)/tau. The integral is T_0 more at the start than what
+    balances a goal that was there before, kp (1 - w) r.
 
     A cascade of a position and a velocity loop is this law too: kd is the gain of its velocity
     loop, kp that times the gain of its position loop, more by its integral action. Source:
@@ -57,9 +60,10 @@ def rates(c: Context) -> dict[str, ca.SX]:
 
 
 def updates(c: Context) -> dict[str, ca.SX]:
-    """Keep the goal of the sample before, for its rate."""
-    before = ca.if_else(c.p.begun > 0.5, c.p.goal, c.u)  # no step before the first sample
-    return {"begun": ca.SX(1), "goal": c.u, "goal_before": before}
+    """Keep the goal of the sample before, for its rate, and the first one."""
+    # no step before the first sample
+    before, first = (ca.if_else(c.p.begun > 0.5, x, c.u) for x in (c.p.goal, c.p.goal_first))
+    return {"begun": ca.SX(1), "goal": c.u, "goal_before": before, "goal_first": first}
 
 
 def recorded(c: Context) -> dict[str, ca.SX]:
@@ -72,6 +76,7 @@ def recorded(c: Context) -> dict[str, ca.SX]:
         "begun": ca.SX(1),
         "goal": c.u,
         "goal_before": c.p.u_before,
+        "goal_first": c.p.u_first,
     }
 
 
@@ -109,6 +114,7 @@ CONTROLLER = Effect(
         State("begun", "1", "1 from the first sample on"),
         State("goal", "rad", "setpoint"),
         State("goal_before", "rad", "setpoint of the sample before"),
+        State("goal_first", "rad", "setpoint of the first sample"),
     ),
     updates=updates,
     recorded=recorded,

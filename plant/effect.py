@@ -241,8 +241,8 @@ class Extension:
         context at its start, the position and the velocity at its end.
     recorded : function
         Values of all own states from a recorded motion: its context also has the acceleration
-        as ``p.a``, the input of the sample before as ``p.u_before`` and the integral of u - theta
-        [rad.s] as ``p.error_sum``.
+        as ``p.a``, the inputs of the sample before and of the record's first one as ``p.u_before``
+        and ``p.u_first``, and the integral of u - theta [rad.s] as ``p.error_sum``.
     inputs : tuple of Variable
         Own inputs, which its functions see as ``p.name``.
     inertia : function

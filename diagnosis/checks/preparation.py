@@ -30,6 +30,7 @@ from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
     fit_from_several_starts,
     has_diverged,
+    rough_sliding_fit,
     sliding_fit,
 )
 from bristle.diagnosis.estimation.likelihood import FitPoint, Problem, evaluate, mean_square
@@ -111,7 +112,7 @@ def prepared_case(
 
 def slides_of(dataset: Dataset) -> Callable[[Model], SlidingFit | None]:
     """Return what fits models to where records slide."""
-    return lambda tried: sliding_fit(dataset, *base_servo_of(tried, dataset))
+    return lambda tried: rough_sliding_fit(dataset, *base_servo_of(tried, dataset))
 
 
 def implausible(

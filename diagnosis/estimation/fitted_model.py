@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, resum
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
 from bristle.diagnosis.sliding.fit import SlidingFit, SlidingModel, fit_sliding
 from bristle.plant.controller import CONTROLLER
+from bristle.plant.servo import J
 
 NOISE_FIT_ITERATIONS = 40  # steps of a fit under a given noise
 NOISE_PASSES = 8  # most alternations of noise and parameters
@@ -27,6 +29,7 @@ REDUCED_FRICTION = 0.5  # of the dry friction: start value for a model that dive
 OUTLIER_WEIGHT = 0.16  # weight, usually about 1, below which a segment is an outlier
 # of the input's torque, rms: a larger disturbance hints at a missing effect
 LARGE_DISTURBANCE = 0.15
+COARSE_SAMPLE = 0.2  # rad: of a loop's oscillation in a sample, from which on it acts in between
 TIE_NATS = 6.0  # nats: fits closer than this are a tie
 
 
@@ -123,7 +126,27 @@ def fit_from_several_starts(
 
 def sliding_fit(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> SlidingFit | None:
     """Return a servo fitted to where the records slide, from given values; None where that does not
-    show it.
+    show it, or a controller changes the torque between samples too much for it.
+    """
+    return (
+        None if _acts_between(dataset, servo, values) else rough_sliding_fit(dataset, servo, values)
+    )
+
+
+def _acts_between(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> bool:
+    """Return whether the torque that a controller asks for changes much within a sample, so that it
+    is not what its goal and the position at the sample make of it.
+    """
+    known = {**servo.fixed, **values}
+    stiffness = known.get(f"{CONTROLLER.name}.kp", 0.0) if CONTROLLER.name in servo.effects else 0.0
+    return dataset.segments.h * math.sqrt(stiffness / known[J.name]) > COARSE_SAMPLE
+
+
+def rough_sliding_fit(
+    dataset: Dataset, servo: Servo, values: Mapping[str, float]
+) -> SlidingFit | None:
+    """Return a fit as of `sliding_fit`, for start values: also of a loop that is fast for the
+    records' sampling.
     """
     # a short lag acts like an inertia, which a torque that is only asked for does not tell from it
     hidden = (f"{OWN_BRISTLES}.", f"{CONTROLLER.name}.lag")

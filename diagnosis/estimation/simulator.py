@@ -39,6 +39,8 @@ OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)
 # effects that take the place of these bristles
 BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
+# s: by as much a controller's filter and period may make it late; what is less is no effect
+LOOP_DELAY = 5e-3
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
 
 
@@ -345,8 +347,13 @@ class Servo:
             if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}.")
         )
 
-    def adds_no_bristles(self, name: str, values: Mapping[str, float]) -> bool:
-        """True if an effect's bristles are as stiff as the servo's own, so that it adds nothing."""
+    def adds_nothing(self, name: str, values: Mapping[str, float]) -> bool:
+        """True if an effect's bristles are as stiff as the servo's own, or if it is late by no more
+        than the servo's controller may be.
+        """
+        strength = find_effect(name).strength
+        if CONTROLLER.name in self.effects and strength.unit == "s":
+            return values[strength.name] <= LOOP_DELAY
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
         return values[f"{name}.stiffness"] >= next(

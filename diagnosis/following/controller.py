@@ -26,7 +26,16 @@ LOOP_FREQUENCIES = (1.0, 3.0, 9.0, 27.0)  # Hz: of the loops from which a contro
 # the logged one, which may be rounded otherwise
 BESIDE_ALL = {"lag": 1e-3, "offset": 0.0}
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
+START_FORWARD = 0.5  # of the setpoint's rate beside kd, from which it is fitted
 START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
+KINDS = (  # parts of a controller beside kp; a cascade has ki and weight
+    (),
+    ("kd",),
+    ("ki",),
+    ("kd", "ki"),
+    ("ki", "weight"),
+    ("kd", "ki", "weight"),
+)
 # quantiles of the torque that is asked for: limits from which it is fitted
 LARGE_TORQUES = (0.98, 0.85)
 MOST_SLIDING = 2  # kinds of controllers that are simulated
@@ -67,8 +76,8 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
     shifted = replace(model, effects={"bias": {"torque": 0.0}, **model.effects})
     constant = max(_fitted(shifted, slides, plain.own).total - plain.total, 0.0)
     kinds = [plain]
-    for more in ({"kd"}, {"ki"}, {"kd", "ki"}, {"kd", "ki", "weight"}):
-        if not more & set(known):
+    for more in KINDS[1:]:
+        if not set(more) & set(known):
             tries = [_fitted(model, slides, _start(inertia, more, kp)) for kp in starts]
             best = max(tries, key=lambda each: each.total)
             kinds.append(replace(best, total=best.total - constant * ("ki" in more)))
@@ -85,7 +94,7 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
 def _start(inertia: float, more: Collection[str], kp: float) -> dict[str, float]:
     """Return start values of a controller with these parts, of about this gain."""
     ways = {
-        "kd": {"kd": math.sqrt(inertia * kp)},
+        "kd": {"kd": math.sqrt(inertia * kp), "forward": START_FORWARD},
         "ki": {"ki": START_INTEGRAL * kp, "integral": 0.0},
         "weight": {"weight": START_WEIGHT},
     }

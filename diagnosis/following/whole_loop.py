@@ -24,11 +24,15 @@ from bristle.diagnosis.estimation.dataset import Dataset, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
 from bristle.diagnosis.following.controller import (
     BESIDE_ALL,
+    KINDS,
+    START_FORWARD,
     START_INTEGRAL,
+    START_WEIGHT,
     controllers,
     large_torques,
     price,
 )
+from bristle.diagnosis.following.torque_unit import centred, is_open, with_inertia
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.screen import GROSS_GAIN
 from bristle.diagnosis.sliding.stretches import Stretches
@@ -46,8 +50,8 @@ from bristle.records.record import Record
 START_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
 GRAVITY = "gravity"  # the torque without which a loop may be far off
 START_DAMPING = 0.8  # of these loops
-ACTIONS = ((), ("kd",), ("ki",), ("kd", "ki"))  # parts of a controller beside kp
 NEAREST = 1.2  # of the least error over whole records: kinds with a larger one are left
+RESCALED = 1.5  # factor of all torques from which on a loop is refitted
 MOST_LOOPS = 3  # kinds that are fitted to segments, with their noise
 
 Case = tuple[Model, Dataset, FittedModel]
@@ -93,26 +97,11 @@ def _in_units_of_gain(model: Model, records: Sequence[Record]) -> Model:
     """Return a model whose inertia, damping and friction, with their bounds, are all scaled so that
     the inertia is the one that the records show under the gain that is given.
     """
-    own = model.controller or {}
-    torques = {key for key in own if "N" in model.unit(f"{CONTROLLER.name}.{key}")}
-    free = {key: x for key, x in own.items() if key not in torques}
-    _, found = _loops(replace(model, effects={**model.effects, CONTROLLER.name: free}), records)[0]
+    given = (model.controller or {})["kp"]
+    free = replace(model, effects={**model.effects, CONTROLLER.name: {}})
+    _, found = _loops(free, records)[0]
     kp = (found.controller or {})["kp"]
-    scale = own["kp"] / kp * found.parameters[J.name] / model.parameters[J.name]
-    scaled = {name for name in model.parameters if _is_torque(model, name)}
-    return replace(
-        model,
-        parameters={k: x * (scale if k in scaled else 1.0) for k, x in model.parameters.items()},
-        bounds={
-            k: (low * scale, high * scale) if k in scaled else (low, high)
-            for k, (low, high) in model.bounds.items()
-        },
-    )
-
-
-def _is_torque(model: Model, name: str) -> bool:
-    """True of inertia, damping and friction: what is proportional to the controller's gain."""
-    return name in (J.name, A2.name) or model.unit(name) in ("N.m", "N")
+    return with_inertia(model, given / kp * found.parameters[J.name])
 
 
 def _fitted(model: Model, records: Sequence[Record]) -> Case:
@@ -132,7 +121,7 @@ def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]
     loops also with a weight that they carry, which a model far from it would make up for.
     """
     dataset = dataset_of(model, records)
-    loops = _Loops.of(dataset, records)
+    loops = _Loops.of(model, dataset, records)
     found = loops.of_all_kinds(model, {}, controllers(model, slides_of(dataset)))
     if not (model.linear or GRAVITY in model.effects):
         found += loops.of_all_kinds(model, _weight(records))
@@ -146,11 +135,13 @@ class _Loops:
     dataset: Dataset
     whole: Segments
     least: float  # error that counts as none [unit of the output]
+    nominal: float | None  # inertia, where the unit of torque is open
 
     @classmethod
-    def of(cls, dataset: Dataset, records: Sequence[Record]) -> _Loops:
+    def of(cls, model: Model, dataset: Dataset, records: Sequence[Record]) -> _Loops:
         own = Records.of(dataset, records, dataset.segments.times)
-        return cls(dataset, own.stretches(own.seconds), own.least)
+        nominal = model.parameters[J.name] if is_open(model) else None
+        return cls(dataset, own.stretches(own.seconds), own.least, nominal)
 
     def of_all_kinds(
         self, model: Model, weight: Mapping[str, float], starts: Sequence[Model] = ()
@@ -159,7 +150,7 @@ class _Loops:
         limit of its torque, with the error of each. `weight` as of `_loop`.
         """
         known, kinds = model.controller or {}, [*starts]
-        for parts in ACTIONS:
+        for parts in KINDS:
             if not set(parts) & set(known):
                 tries = [_loop(model, parts, f, weight) for f in START_FREQUENCIES]
                 kinds.append(min(tries, key=self.error))
@@ -178,7 +169,17 @@ class _Loops:
         return fitted_error(with_fitted_starts(servo, values, self.whole, self.least))
 
     def refitted(self, model: Model) -> tuple[float, Model]:
-        """Return the rms error of a model refitted to whole records, and that model."""
+        """Return the rms error of a model refitted to whole records, and that model; where nothing
+        gives the unit of torque, in one that leaves all parameters room.
+        """
+        error, found = self._refitted(model)
+        if self.nominal is None or not math.isfinite(error):
+            return error, found
+        found, factor = centred(found, self.nominal)
+        near = 1.0 / RESCALED <= factor <= RESCALED
+        return (error, found) if near else min(self._refitted(found), (error, found), key=_error)
+
+    def _refitted(self, model: Model) -> tuple[float, Model]:
         servo, values = base_servo_of(model, self.dataset)
         fit = refit_horizon(servo, values, self.whole, self.least)
         if fit is None:
@@ -225,12 +226,14 @@ def _loop(
     own: dict[str, float] = {"kp": kp, **BESIDE_ALL}
     parameters = dict(model.parameters)
     if "kd" in parts:
-        own["kd"] = damping
+        own |= {"kd": damping, "forward": START_FORWARD}
     else:
         low, high = model.bounds.get(A2.name, (0.0, math.inf))
         parameters[A2.name] = min(max(damping, low), high)
     if "ki" in parts:
         own |= {"ki": START_INTEGRAL * kp, "integral": 0.0}
+    if "weight" in parts:
+        own["weight"] = START_WEIGHT
     effects = {**model.effects, CONTROLLER.name: own | known}
     if weight:
         effects[GRAVITY] = {**weight, "amplitude": kp * weight["amplitude"]}

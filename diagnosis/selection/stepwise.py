@@ -286,7 +286,7 @@ def evaluate_candidates(
     fit, servo = context.fit, context.fitted.servo
     tried, null = fit_candidates(context, names, effort, done)
     fitted = [
-        c for c in tried if c.fit is not None and not servo.adds_no_bristles(c.name, c.fit.values)
+        c for c in tried if c.fit is not None and not servo.adds_nothing(c.name, c.fit.values)
     ]
     if not fitted:
         nothing = TrialRound.of(tried, null, fit.total)

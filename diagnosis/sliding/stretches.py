@@ -65,6 +65,11 @@ class Stretches:
         return before
 
     @cached_property
+    def u_first(self) -> Array:
+        """Input of the first sample of the same record."""
+        return self.u[np.searchsorted(self.record, self.record)]
+
+    @cached_property
     def halfway(self) -> tuple[Array, Array]:
         """Position and velocity between each sample and the next (samples,): what acts in between
         is known by its mean.

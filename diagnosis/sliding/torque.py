@@ -25,7 +25,12 @@ Names = tuple[str, ...]
 DRIVE = "drive"
 # of the torques of drive and dry friction: their errors, where as large, pass for anything
 FAINT = 0.02
-RECORDED = ("a", "u_before", "error_sum")  # what only states that a record shows depend on
+RECORDED = (
+    "a",
+    "u_before",
+    "u_first",
+    "error_sum",
+)  # what only states that a record shows depend on
 MOTION = ("theta", "v", "u", "time", *RECORDED)
 
 

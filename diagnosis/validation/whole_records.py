@@ -17,7 +17,8 @@ from bristle.diagnosis.answer import (
     RecordTrace,
     WholeRecords,
 )
-from bristle.diagnosis.estimation.fitted_model import sliding_fit
+from bristle.diagnosis.estimation.fitted_model import FittedModel, sliding_fit
+from bristle.diagnosis.estimation.optimiser import refit_initial_states
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.estimation.uncertainty import refitted_estimates
 from bristle.diagnosis.modelfile import Model
@@ -121,14 +122,21 @@ def _over_whole_records(case: SearchedCase, answer: Diagnosis, refit: bool) -> D
 
 def _is_contradicted(case: SearchedCase, refitted: _Long) -> bool:
     """Return whether the motion that slides contradicts refitted parameters: over long times a slow
-    disturbance adds up to a drift, which an inertia may follow.
-
-    Where the torque is only asked for, the whole loop shows more than that motion.
+    disturbance adds up to a drift, which an inertia may follow. Of a servo that is given a goal the
+    segments show more than that motion: those decide.
     """
     if case.model.controller is not None:
-        return False
+        return _loss_of_segments(case.final, refitted.last) > GROSS_GAIN
     slides = sliding_fit(case.dataset, case.final.servo, refitted.values)
     return slides is not None and loss_at(slides, refitted.last) > GROSS_GAIN
+
+
+def _loss_of_segments(final: FittedModel, values: Mapping[str, float]) -> float:
+    """Return how much less likely the segments are with other values than as fitted [nats]."""
+    own = final.fit.values
+    moved = final.fit.at(values={name: values.get(name, x) for name, x in own.items()})
+    fitted, others = (refit_initial_states(final.problem, each) for each in (final.fit, moved))
+    return fitted.total - others.total
 
 
 def _values(fitted: Mapping[str, float], estimates: Mapping[str, Estimate]) -> dict[str, float]:

@@ -92,6 +92,18 @@ def test_a_cascade_is_the_law_with_weights():
     np.testing.assert_allclose(measured, expected, atol=3e-3)
 
 
+def test_a_cascade_that_rests_away_from_0_stays_there():
+    gains = {"kp": 3.0, "ki": 5.0, "kd": 0.2, "weight": 0.6, "forward": 0.0}
+    still = follow(np.full(300, 2.0), start=2.0, **gains)
+    np.testing.assert_allclose(still[:, 0], 2.0, atol=1e-9)
+    # and follows from there as it does from 0
+    goal = np.where(np.arange(800) < 50, 0.0, 0.5)
+    moved = follow(goal + 2.0, start=2.0, **gains) - 2.0
+    np.testing.assert_allclose(moved, follow(goal, **gains), atol=1e-6)
+    # without integral action nothing holds what the weight leaves out
+    assert follow(np.full(3000, 2.0), kp=3.0, kd=0.3, weight=0.6)[-1, 0] == pytest.approx(1.2)
+
+
 def test_the_first_sample_is_no_step_of_the_goal():
     still = follow(np.full(50, 3.0), start=3.0, kp=1.0, kd=0.5)
     np.testing.assert_array_equal(still[:, 0], 3.0)

@@ -269,7 +269,7 @@ def open_loop_line(whole: WholeRecords, segment: float, follows: bool = False) -
         if not whole.tried:
             why = f"{longer} was not tried"
         elif whole.contradicted:
-            why = f"{longer} contradicts the motion that slides"
+            why = f"{longer} contradicts what short stretches show"
         return f"{line}. It is not refitted to that: {why}."
     to = (
         "whole records"
