@@ -228,7 +228,7 @@ def _searched(
 
     def searched(case: PreparedCase) -> SearchOutcome:
         with until(budget.until(COMPARISON_SHARE)):
-            own = replace(options, guess=case.model.parameters)
+            own = replace(options, guess=case.model.parameters, joint=case.joint)
             return search(case.dataset, case.base, _reporting(own, tell))
 
     while True:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -70,7 +70,8 @@ class PreparedCase:
     """What is searched: a model and records, the records as a dataset, and the model fitted to it
     without further effects.
 
-    `notes`: of the records; `later`: of their preparation, which follow those of the search.
+    `notes`: of the records; `later`: of their preparation, which follow those of the search;
+    `joint`: as of `SearchOptions`.
     `remark` adds what else is to be said of an answer once the conclusion is known; `otherwise`
     prepares the case another way, where nothing is found.
     """
@@ -83,6 +84,7 @@ class PreparedCase:
     later: tuple[Line, ...] = ()
     remark: Callable[[Diagnosis], Diagnosis] | None = None
     otherwise: Callable[[], PreparedCase] | None = None
+    joint: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def notes_of(records: Sequence[Record], held: tuple[Finding, ...]) -> tuple[Line, ...]:

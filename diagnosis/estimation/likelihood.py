@@ -22,6 +22,9 @@ LARGEST_STATE_PRICE = 50.0  # nats: largest Occam factor of the hidden initial s
 COLLINEAR_REST = 1e-4
 COLLINEAR_PART = 0.3  # coefficient from which on a parameter is named as one of these others
 FAILED_OUTPUT = 1e12  # unit of the output: a larger output or derivative marks a failed simulation
+# of the output, by a change of position or velocity at the start: more is an instability, which an
+# encoder's step or a thousandth of a parameter changes altogether
+RUNAWAY = 1e3
 FAILED_MISFIT = 1e6  # squared whitened misfit of a segment whose simulation failed
 # relative increase of the curvature by each initial state, so that it can be inverted
 STATE_SEPARATION = 1e-12
@@ -220,10 +223,12 @@ def evaluate(problem: Problem, point: FitPoint) -> Fit:
         & (np.abs(simulated).max(axis=1) < FAILED_OUTPUT)
         & (np.abs(sens).max(axis=(1, 2)) < FAILED_OUTPUT)
     )
+    # what runs away from where it began tells nothing of the parameters
+    steady = np.abs(sens[:, :, -simulator.width :]).max(axis=(1, 2)) < RUNAWAY
     # a stretch may be longer than what was measured
     known = good[:, None] & np.isfinite(problem.measured)
     residual = np.where(known, problem.measured - simulated, 0.0)
-    sens = np.where(known[:, :, None], sens, 0.0)
+    sens = np.where((known & steady[:, None])[:, :, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in point.free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in point.free])
     both = np.matmul(problem.noise.whiten, sens)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.sliding.screen import GROSS_GAIN
@@ -57,7 +56,8 @@ class _Fitted:
 
 def controllers(model: Model, slides: Slides) -> list[Model]:
     """Return a model with start values of what is not known of its controller, for the likeliest
-    kinds of it, the best first; as it is where its input is no setpoint.
+    kinds of it, the best first; as it is where its input is no setpoint. None where too little
+    slides.
 
     `slides` fits a model to where the records slide. Damping, integral action and a limit each cost
     `GROSS_GAIN`; a constant torque does not count as integral action.
@@ -69,16 +69,13 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
     starts = [inertia * (2 * math.pi * f) ** 2 for f in LOOP_FREQUENCIES]
     plain = max((_fitted(model, slides, {"kp": kp}) for kp in starts), key=lambda each: each.total)
     if not math.isfinite(plain.total):
-        raise BristleError(
-            "records: too little motion to find the controller; record longer moves of the"
-            " setpoint, or give kp, ki and kd in [controller]"
-        )
+        return []
     shifted = replace(model, effects={"bias": {"torque": 0.0}, **model.effects})
     constant = max(_fitted(shifted, slides, plain.own).total - plain.total, 0.0)
     kinds = [plain]
     for more in KINDS[1:]:
         if not set(more) & set(known):
-            tries = [_fitted(model, slides, _start(inertia, more, kp)) for kp in starts]
+            tries = [_fitted(model, slides, _start(model, more, kp)) for kp in starts]
             best = max(tries, key=lambda each: each.total)
             kinds.append(replace(best, total=best.total - constant * ("ki" in more)))
     if "limit" not in known:
@@ -91,14 +88,21 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
     return [_with(model, {**BESIDE_ALL, **kind.own, **known}) for kind in kinds[:MOST_SLIDING]]
 
 
-def _start(inertia: float, more: Collection[str], kp: float) -> dict[str, float]:
+def _start(model: Model, more: Collection[str], kp: float) -> dict[str, float]:
     """Return start values of a controller with these parts, of about this gain."""
     ways = {
-        "kd": {"kd": math.sqrt(inertia * kp), "forward": START_FORWARD},
+        "kd": damping_of(model, math.sqrt(model.parameters[J.name] * kp)),
         "ki": {"ki": START_INTEGRAL * kp, "integral": 0.0},
         "weight": {"weight": START_WEIGHT},
     }
     return {"kp": kp} | {key: x for part in more for key, x in ways[part].items()}
+
+
+def damping_of(model: Model, kd: float) -> dict[str, float]:
+    """Return start values of a damping, which may act on a part of the goal's rate; of all of it
+    where that rate is the goal.
+    """
+    return {"kd": kd} | ({} if model.goal_is_rate else {"forward": START_FORWARD})
 
 
 def _with(model: Model, own: Values) -> Model:
@@ -130,6 +134,11 @@ def large_torques(effects: Names, values: Values, over: Stretches) -> list[float
     return [float(np.quantile(asked, share)) for share in LARGE_TORQUES]
 
 
+def parts_of(own: Collection[str]) -> frozenset[str]:
+    """Return the parts of a controller beside kp."""
+    return frozenset(own) & {"kd", "forward", "ki", "weight", "limit"}
+
+
 def price(own: Collection[str]) -> float:
     """Return what the parts of a controller cost [nats]."""
-    return GROSS_GAIN * len(set(own) & {"kd", "ki", "weight", "limit"})
+    return GROSS_GAIN * len(parts_of(own))

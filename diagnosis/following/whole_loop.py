@@ -7,7 +7,7 @@ is simulated: a loop follows its goal whatever its gains are, so that no start i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +25,12 @@ from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_nois
 from bristle.diagnosis.following.controller import (
     BESIDE_ALL,
     KINDS,
-    START_FORWARD,
     START_INTEGRAL,
     START_WEIGHT,
     controllers,
+    damping_of,
     large_torques,
+    parts_of,
     price,
 )
 from bristle.diagnosis.following.torque_unit import centred, is_open, with_inertia
@@ -48,13 +49,14 @@ from bristle.plant.servo import A2, J
 from bristle.records.record import Record
 
 START_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
-GRAVITY = "gravity"  # the torque without which a loop may be far off
+CARRIED = ("gravity", "bias")  # torques without which a loop may be far off
 START_DAMPING = 0.8  # of these loops
 NEAREST = 1.2  # of the least error over whole records: kinds with a larger one are left
 RESCALED = 1.5  # factor of all torques from which on a loop is refitted
 MOST_LOOPS = 3  # kinds that are fitted to segments, with their noise
 
 Case = tuple[Model, Dataset, FittedModel]
+Effects = Mapping[str, Mapping[str, float]]
 
 
 def following_case(
@@ -66,25 +68,45 @@ def following_case(
     if "kp" in (model.controller or {}) and _at_bound(loops[0][1], records, J.name):
         model = _in_units_of_gain(model, records)
         loops = _loops(model, records)
-    near = [each for error, each in loops if error <= NEAREST * loops[0][0]][:MOST_LOOPS]
-    found = [_fitted(each, records) for each in near]
+    found = [_fitted(each, records) for each in _nearest(loops)]
     likeliest, dataset, base = max(found, key=_likelihood)
-    if GRAVITY in set(likeliest.effects) - set(model.effects):
+    away = _carried(likeliest) - set(model.effects)
+    joint = {name: {f.name: base.fit.values[f.name] for f in base.fit.free} for name in away}
+    if away:
         # the search is to find it, from what was found beside it
-        likeliest, dataset, base = _fitted(_without_weight(likeliest), records)
-    kp = (likeliest.controller or {})["kp"]
-    unit = model.unit(f"{CONTROLLER.name}.kp")
+        own = {name: x for name, x in likeliest.effects.items() if name not in away}
+        likeliest, dataset, base = _fitted(replace(likeliest, effects=own), records)
+    later = _of_the_unit(asked, model, likeliest)
+    return PreparedCase(likeliest, records, dataset, base, notes, later, joint=joint)
+
+
+def _of_the_unit(asked: Model, model: Model, found: Model) -> tuple[Line, ...]:
+    """Return what is said of the unit of torque: `model`, the one asked for in units of its kp."""
+    kp, unit = (found.controller or {})["kp"], found.unit(f"{CONTROLLER.name}.kp")
     if "kp" not in (model.controller or {}):
-        later: tuple[Line, ...] = (finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=unit),)
-    elif model is not asked:
-        low, high = asked.bounds[J.name]
-        now = model.parameters[J.name]
-        scale = now / asked.parameters[J.name]
-        given = {"kp": kp, "unit": unit, "inertia": now, "inertia_unit": model.unit(J.name)}
-        later = (finding(Reason.SCALED_TO_GAIN, scale=scale, bounds=(low, high), **given),)
-    else:
-        later = ()
-    return PreparedCase(likeliest, records, dataset, base, notes, later)
+        return (finding(Reason.RATIOS_TO_GAIN, kp=kp, unit=unit),)
+    if model is asked:
+        return ()
+    now, bounds = model.parameters[J.name], asked.bounds[J.name]
+    given = {"kp": kp, "unit": unit, "inertia": now, "inertia_unit": model.unit(J.name)}
+    scale = now / asked.parameters[J.name]
+    return (finding(Reason.SCALED_TO_GAIN, scale=scale, bounds=bounds, **given),)
+
+
+def _nearest(loops: Sequence[tuple[float, Model]]) -> list[Model]:
+    """Return the best of each kind whose error is near the least, those of the fewest parts first:
+    over whole records the error is that of the disturbance, which more parts follow as well.
+    """
+    kinds: dict[frozenset[str], Model] = {}
+    for error, each in loops:
+        if error <= NEAREST * loops[0][0]:
+            kinds.setdefault(parts_of(each.controller or ()) | _carried(each), each)
+    return [kinds[kind] for kind in sorted(kinds, key=len)[:MOST_LOOPS]]
+
+
+def _carried(model: Model) -> frozenset[str]:
+    """Return the torques that a loop carries, of those without which it may be far off."""
+    return frozenset(CARRIED) & set(model.effects)
 
 
 def _at_bound(model: Model, records: Sequence[Record], name: str) -> bool:
@@ -111,20 +133,19 @@ def _fitted(model: Model, records: Sequence[Record]) -> Case:
 
 def _likelihood(case: Case) -> float:
     model, _, fitted = case
-    weight = GROSS_GAIN if GRAVITY in model.effects else 0.0
-    return fitted.fit.total - price(model.controller or ()) - weight
+    return fitted.fit.total - price(model.controller or ()) - GROSS_GAIN * len(_carried(model))
 
 
 def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]:
     """Give models with a controller of each kind and the error of each over whole records: the
     controllers that the sliding motion shows, the nearest of some loops, and that with a limit; the
-    loops also with a weight that they carry, which a model far from it would make up for.
+    loops also with a torque that they carry, which a model far from it would make up for.
     """
     dataset = dataset_of(model, records)
     loops = _Loops.of(model, dataset, records)
     found = loops.of_all_kinds(model, {}, controllers(model, slides_of(dataset)))
-    if not (model.linear or GRAVITY in model.effects):
-        found += loops.of_all_kinds(model, _weight(records))
+    for torque in _torques(model, records):
+        found += loops.of_all_kinds(model, torque)
     return sorted(found, key=_error)
 
 
@@ -135,24 +156,27 @@ class _Loops:
     dataset: Dataset
     whole: Segments
     least: float  # error that counts as none [unit of the output]
+    known: Collection[str]  # of the controller
     nominal: float | None  # inertia, where the unit of torque is open
 
     @classmethod
     def of(cls, model: Model, dataset: Dataset, records: Sequence[Record]) -> _Loops:
         own = Records.of(dataset, records, dataset.segments.times)
         nominal = model.parameters[J.name] if is_open(model) else None
-        return cls(dataset, own.stretches(own.seconds), own.least, nominal)
+        known = tuple(model.controller or ())
+        return cls(dataset, own.stretches(own.seconds), own.least, known, nominal)
 
     def of_all_kinds(
-        self, model: Model, weight: Mapping[str, float], starts: Sequence[Model] = ()
+        self, model: Model, torque: Effects, starts: Sequence[Model] = ()
     ) -> list[tuple[float, Model]]:
         """Return the refitted starts and a model with the nearest loop of each kind, also with a
-        limit of its torque, with the error of each. `weight` as of `_loop`.
+        limit of its torque, with the error of each. `torque` as of `_loop`; integral action holds a
+        constant one.
         """
         known, kinds = model.controller or {}, [*starts]
         for parts in KINDS:
-            if not set(parts) & set(known):
-                tries = [_loop(model, parts, f, weight) for f in START_FREQUENCIES]
+            if not (set(parts) & set(known) or ("ki" in parts and "bias" in torque)):
+                tries = [_loop(model, parts, f, torque) for f in START_FREQUENCIES]
                 kinds.append(min(tries, key=self.error))
         found = [self.refitted(each) for each in kinds]
         if "limit" not in known:
@@ -173,11 +197,21 @@ class _Loops:
         gives the unit of torque, in one that leaves all parameters room.
         """
         error, found = self._refitted(model)
+        if self._holds(found):
+            return math.inf, found
         if self.nominal is None or not math.isfinite(error):
             return error, found
         found, factor = centred(found, self.nominal)
         near = 1.0 / RESCALED <= factor <= RESCALED
         return (error, found) if near else min(self._refitted(found), (error, found), key=_error)
+
+    def _holds(self, model: Model) -> bool:
+        """Return whether integral action that is not known is so slow that all it does over a
+        record is to hold a constant torque: that is no controller's, but a bias that is missing.
+        """
+        own = model.controller or {}
+        slow = own.get("ki", math.inf) * self.whole.seconds < own["kp"]
+        return slow and "ki" not in self.known
 
     def _refitted(self, model: Model) -> tuple[float, Model]:
         servo, values = base_servo_of(model, self.dataset)
@@ -188,8 +222,8 @@ class _Loops:
         controller = {key: float(own[f"{CONTROLLER.name}.{key}"]) for key in model.controller or ()}
         parameters = {key: float(own.get(key, x)) for key, x in model.parameters.items()}
         effects = {**model.effects, CONTROLLER.name: controller}
-        if GRAVITY in effects:
-            effects[GRAVITY] = {key: own[f"{GRAVITY}.{key}"] for key in effects[GRAVITY]}
+        for name in _carried(model):
+            effects[name] = {key: float(own[f"{name}.{key}"]) for key in effects[name]}
         return fitted_error(fit), replace(model, parameters=parameters, effects=effects)
 
 
@@ -197,27 +231,27 @@ def _error(found: tuple[float, Model]) -> float:
     return found[0]
 
 
-def _weight(records: Sequence[Record]) -> dict[str, float]:
-    """Return start values of gravity over kp, from what is left between goal and position."""
+def _torques(model: Model, records: Sequence[Record]) -> Iterator[Effects]:
+    """Give start values of torques over kp that a loop may carry, those apart that the model has,
+    from what is left between goal and position.
+    """
     y = np.concatenate([r.y for r in records])
     left = np.concatenate([r.u for r in records]) - y
     ahead = np.concatenate([np.sign(np.gradient(r.y)) for r in records])
     columns = np.column_stack([np.sin(y), np.cos(y), ahead, np.ones(len(y))])
-    (sine, cosine, *_), *_ = np.linalg.lstsq(columns, left, rcond=None)
-    defaults = find_effect(GRAVITY).inactive_values.items()
-    shape = {name.partition(".")[2]: value for name, value in defaults}
-    return {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), **shape}
+    (sine, cosine, *_, constant), *_ = np.linalg.lstsq(columns, left, rcond=None)
+    gravity = {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}
+    if not (model.linear or "gravity" in model.effects):
+        defaults = find_effect("gravity").inactive_values.items()
+        shape = {name.partition(".")[2]: value for name, value in defaults}
+        yield {"gravity": gravity | shape}
+    if "bias" not in model.effects:
+        yield {"bias": {"torque": -float(constant)}}
 
 
-def _without_weight(model: Model) -> Model:
-    return replace(model, effects={k: x for k, x in model.effects.items() if k != GRAVITY})
-
-
-def _loop(
-    model: Model, parts: Sequence[str], frequency: float, weight: Mapping[str, float]
-) -> Model:
+def _loop(model: Model, parts: Sequence[str], frequency: float, torque: Effects) -> Model:
     """Return a model with a controller of these parts, and a loop of about this frequency, which
-    carries a weight: parameters of gravity, its amplitude over kp; empty for none.
+    carries a torque: an effect with its parameters, its strength over kp; empty for none.
     """
     inertia, omega = model.parameters[J.name], 2 * math.pi * frequency
     known = model.controller or {}
@@ -226,7 +260,7 @@ def _loop(
     own: dict[str, float] = {"kp": kp, **BESIDE_ALL}
     parameters = dict(model.parameters)
     if "kd" in parts:
-        own |= {"kd": damping, "forward": START_FORWARD}
+        own |= damping_of(model, damping)
     else:
         low, high = model.bounds.get(A2.name, (0.0, math.inf))
         parameters[A2.name] = min(max(damping, low), high)
@@ -235,8 +269,9 @@ def _loop(
     if "weight" in parts:
         own["weight"] = START_WEIGHT
     effects = {**model.effects, CONTROLLER.name: own | known}
-    if weight:
-        effects[GRAVITY] = {**weight, "amplitude": kp * weight["amplitude"]}
+    for name, values in torque.items():
+        strength = find_effect(name).strength.name.partition(".")[2]
+        effects[name] = {**values, strength: kp * values[strength]}
     return replace(model, parameters=parameters, effects=effects)
 
 

@@ -37,9 +37,9 @@ def relative_to_inertia(
         **vars(layout),
     )
     slides = slides_of(dataset_of(blank, records))
-    [known, *_] = controllers(blank, slides)
+    known = next(iter(controllers(blank, slides)), blank)
     fit = slides(known)
-    if fit is None or known.controller is None:
+    if fit is None or not known.controller:
         raise BristleError(
             "too little motion in these records to find the controller; record steps of several"
             " sizes and slow motion"

@@ -76,6 +76,8 @@ class SearchOptions:
     guess : mapping of str to float
         Parameters of the model before any fit; where one ends far from it, effects are also fitted
         from there.
+    joint : mapping of str to a mapping of str to float
+        Parameters of the model with an effect, by full names, from which that effect is tried too.
     deadline : float
         Until when effects are tried [s, of `time.perf_counter`]; a diagnosis sets it from the
         budget.
@@ -88,6 +90,7 @@ class SearchOptions:
     jobs: int = 0
     budget: float = math.inf
     guess: Mapping[str, float] = field(default_factory=dict)
+    joint: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     deadline: float = math.inf
 
     @property
@@ -145,14 +148,19 @@ class SearchContext:
 
     @cached_property
     def joint_starts(self) -> Callable[[str], Sequence[JointStart]]:
-        """Function of an effect's name that returns start values of effect and model together, if
-        the model fits poorly.
+        """Function of an effect's name that returns start values of effect and model together: the
+        options', and others if the model fits poorly.
         """
-        return (
+        usual = (
             joint_starts_of(self, has_diverged(self.dataset, self.fit))
             if self.fits_poorly
             else lambda name: ()
         )
+        given = {
+            name: JointStart(values, _of(name, values))
+            for name, values in self.options.joint.items()
+        }
+        return lambda name: [*usual(name), *([given[name]] if name in given else [])]
 
     def clocks(self, name: str) -> list[tuple[float, ...]]:
         """Return the times of the first samples of the records with which an effect is tried, as of
@@ -219,6 +227,11 @@ def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:
         return []
     own = [p.name.removeprefix(f"{name}.") for p in find_effect(name).parameters]
     return [{short: fitted.fit.values[f"{OWN_BRISTLES}.{short}"] for short in own}]
+
+
+def _of(name: str, values: Mapping[str, float]) -> Start:
+    """Return the parameters of an effect, by their short names."""
+    return {k.removeprefix(f"{name}."): x for k, x in values.items() if k.startswith(f"{name}.")}
 
 
 # -- together with the model -----------------------------------------------------------------------
