@@ -25,7 +25,7 @@ USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, 
 SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 SHOWN_COLUMNS = 12  # columns that an error lists at most
 # 0: the first choice
-MOTION = ("position", "velocity")
+MOTION_KINDS = ("position", "velocity")
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}
 # of a setpoint among inputs and outputs, of u and y, of a column of any other name
 SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20
@@ -208,7 +208,7 @@ def _none_found(files: Files, role: str, asked: str | None, names: Sequence[str]
     alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
     more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
     why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
-    if role == "input" and {files.heading(name).quantity for name in names} <= {*MOTION}:
+    if role == "input" and {files.heading(name).quantity for name in names} <= {*MOTION_KINDS}:
         return BristleError(
             f"record {next(iter(files.tables))}: no column is an input, and motion alone does not"
             " tell what moved it; log the torque, force, voltage, current or goal as well, or give"
@@ -332,7 +332,7 @@ def _time_unit(values: Array) -> str:
 def _inputs(files: Files, asked: str | None) -> list[Candidate]:
     found = []
     for h in files.varying():
-        if h.setpoint and h.quantity in MOTION and asked in (None, h.name):
+        if h.setpoint and h.quantity in MOTION_KINDS and asked in (None, h.name):
             found += [goal] if (goal := _goal(files, h, h.quantity)) else []
             continue
         if asked not in (None, h.name) or (
@@ -391,11 +391,12 @@ def _outputs(files: Files, asked: str | None) -> list[Candidate]:
         elsewhere = (h.named and h.quantity in ("time", *INPUT_UNITS)) or _excluded(h, "input")
         if asked not in (None, h.name) or (asked is None and elsewhere):
             continue  # a column that is a voltage by its unit alone may be that of a sensor
-        if h.quantity in MOTION:
+        if h.quantity in MOTION_KINDS:
             found.append(_output(files, h, h.quantity))
         else:
             found += [
-                _output(files, replace(h, quantity=kind), kind, unknown=True) for kind in MOTION
+                _output(files, replace(h, quantity=kind), kind, unknown=True)
+                for kind in MOTION_KINDS
             ]
     return [each for each in found if each is not None]
 

@@ -183,7 +183,7 @@ def maximise(
     return fit
 
 
-def refit_initial_states(problem: Problem, fit: Fit) -> Fit:
+def refit_initial_states(problem: Problem, fit: FitPoint) -> Fit:
     """Return a fit with the initial states of the problem's segments refitted, parameters kept."""
     return maximise(problem, evaluate(problem, fit.fixed()), INITIAL_STATE_STEPS)
 

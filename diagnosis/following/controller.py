@@ -27,7 +27,7 @@ BESIDE_ALL = {"lag": 1e-3, "offset": 0.0}
 START_INTEGRAL = 1.0  # 1/s: integral over proportional action from which it is fitted
 START_FORWARD = 0.5  # of the setpoint's rate beside kd, from which it is fitted
 START_WEIGHT = 0.8  # of the setpoint beside kp, from which it is fitted
-KINDS = (  # parts of a controller beside kp; a cascade has ki and weight
+CONTROLLER_KINDS = (  # parts of a controller beside kp; a cascade has ki and weight
     (),
     ("kd",),
     ("ki",),
@@ -73,7 +73,7 @@ def controllers(model: Model, slides: Slides) -> list[Model]:
     shifted = replace(model, effects={"bias": {"torque": 0.0}, **model.effects})
     constant = max(_fitted(shifted, slides, plain.own).total - plain.total, 0.0)
     kinds = [plain]
-    for more in KINDS[1:]:
+    for more in CONTROLLER_KINDS[1:]:
         if not set(more) & set(known):
             tries = [_fitted(model, slides, _start(model, more, kp)) for kp in starts]
             best = max(tries, key=lambda each: each.total)

@@ -11,7 +11,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.plant.controller import CONTROLLER
 from bristle.plant.servo import J
 
-MARGIN = 2.0  # at least, between a parameter and the upper end of its bounds
+ROOM = 2.0  # at least, between a parameter and the upper end of its bounds
 
 
 def is_open(model: Model) -> bool:
@@ -40,7 +40,7 @@ def centred(model: Model, nominal: float) -> tuple[Model, float]:
         for name, (_, high) in model.bounds.items()
         if model.parameters.get(name, 0.0) > 0.0 and _is_torque(model, name)
     ]
-    factor = min([nominal / model.parameters[J.name], *(each / MARGIN for each in room)])
+    factor = min([nominal / model.parameters[J.name], *(each / ROOM for each in room)])
     return scaled(model, factor), factor
 
 

@@ -24,7 +24,7 @@ from bristle.diagnosis.estimation.dataset import Dataset, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
 from bristle.diagnosis.following.controller import (
     BESIDE_ALL,
-    KINDS,
+    CONTROLLER_KINDS,
     START_INTEGRAL,
     START_WEIGHT,
     controllers,
@@ -49,7 +49,7 @@ from bristle.plant.servo import A2, J
 from bristle.records.record import Record
 
 START_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz: of the loops that are simulated at first
-CARRIED = ("gravity", "bias")  # torques without which a loop may be far off
+LOOP_TORQUES = ("gravity", "bias")  # torques without which a loop may be far off
 START_DAMPING = 0.8  # of these loops
 NEAREST = 1.2  # of the least error over whole records: kinds with a larger one are left
 RESCALED = 1.5  # factor of all torques from which on a loop is refitted
@@ -106,7 +106,7 @@ def _nearest(loops: Sequence[tuple[float, Model]]) -> list[Model]:
 
 def _carried(model: Model) -> frozenset[str]:
     """Return the torques that a loop carries, of those without which it may be far off."""
-    return frozenset(CARRIED) & set(model.effects)
+    return frozenset(LOOP_TORQUES) & set(model.effects)
 
 
 def _at_bound(model: Model, records: Sequence[Record], name: str) -> bool:
@@ -174,7 +174,7 @@ class _Loops:
         constant one.
         """
         known, kinds = model.controller or {}, [*starts]
-        for parts in KINDS:
+        for parts in CONTROLLER_KINDS:
             if not (set(parts) & set(known) or ("ki" in parts and "bias" in torque)):
                 tries = [_loop(model, parts, f, torque) for f in START_FREQUENCIES]
                 kinds.append(min(tries, key=self.error))
