@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bristle.common.errors import BristleError
 from bristle.common.progress import Progress
 from bristle.diagnosis.answer import Line, Reason, finding
 from bristle.diagnosis.checks.preparation import (
@@ -143,10 +144,17 @@ def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]
     """
     dataset = dataset_of(model, records)
     loops = _Loops.of(model, dataset, records)
-    found = loops.of_all_kinds(model, {}, controllers(model, slides_of(dataset)))
+    starts = controllers(model, slides_of(dataset))
+    found = loops.of_all_kinds(model, {}, starts)
     for torque in _torques(model, records):
         found += loops.of_all_kinds(model, torque)
-    return sorted(found, key=_error)
+    found.sort(key=_error)
+    if not (starts or math.isfinite(found[0][0])):
+        raise BristleError(
+            "records: too little motion to find the controller; record longer moves of the"
+            " setpoint, or give kp, ki and kd in [controller]"
+        )
+    return found
 
 
 @dataclass(frozen=True)
