@@ -137,9 +137,11 @@ def _acts_between(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -
     """Return whether the torque that a controller asks for changes much within a sample, so that it
     is not what its goal and the position at the sample make of it.
     """
+    if CONTROLLER.name not in servo.effects:
+        return False
     known = {**servo.fixed, **values}
-    stiffness = known.get(f"{CONTROLLER.name}.kp", 0.0) if CONTROLLER.name in servo.effects else 0.0
-    return dataset.segments.h * math.sqrt(stiffness / known[J.name]) > COARSE_SAMPLE
+    oscillation = math.sqrt(known[f"{CONTROLLER.name}.kp"] / known[J.name])
+    return dataset.segments.h * oscillation > COARSE_SAMPLE
 
 
 def rough_sliding_fit(

@@ -371,12 +371,12 @@ def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
         ("bristle_damping", 1.01, True),
         ("presliding", 0.5, False),
     ):
-        assert servo.adds_no_bristles(name, {f"{name}.stiffness": factor * own}) is outdone
-    assert not servo.adds_no_bristles("compliance", {"compliance.stiffness": 10 * own})
+        assert servo.adds_nothing(name, {f"{name}.stiffness": factor * own}) is outdone
+    assert not servo.adds_nothing("compliance", {"compliance.stiffness": 10 * own})
     with_bristles = replace(
         servo, rigid=False, free=tuple(replace(f, nominal=None) for f in servo.free)
     )  # with such an effect already
-    assert not with_bristles.adds_no_bristles("presliding", {"presliding.stiffness": 10 * own})
+    assert not with_bristles.adds_nothing("presliding", {"presliding.stiffness": 10 * own})
 
 
 def test_bristles_also_begin_as_those_of_the_model(case):

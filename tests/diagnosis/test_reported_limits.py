@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.estimation.uncertainty import covariance
+from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.selection.candidates import EffectFit
 from bristle.diagnosis.selection.detection_limit import LARGEST_LIMIT, detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
@@ -31,7 +32,7 @@ def fit_of(x, rest, judged):
         slopes=np.einsum("sip,si->sp", x, rest / NOISE),
         weight=judged.astype(float),
         information=information,
-        free=(None,) * PARAMETERS,
+        free=(Free("a", -1e9, 1e9),) * PARAMETERS,
     )
 
 
@@ -63,6 +64,29 @@ def test_segments_that_are_not_judged_do_not_narrow_the_covariance():
     n = np.count_nonzero(judged)
     expected = inverse @ (scores.T @ scores) @ inverse * n / (n - PARAMETERS)
     np.testing.assert_allclose(half, expected, rtol=1e-6)
+
+
+def test_what_the_records_do_not_show_is_as_wide_as_its_bounds():
+    """Two parameters of which only the sum shows: the one with narrow bounds tells the other."""
+    rng = np.random.default_rng(9)
+    x = rng.standard_normal((SEGMENTS, 1))
+    fit = SimpleNamespace(
+        slopes=(x * rng.standard_normal((SEGMENTS, 1)))[:, [0, 0]],
+        weight=np.ones(SEGMENTS),
+        information=np.full((2, 2), float(np.sum(x**2))),
+        free=(Free("lag", 0.0, 0.05), Free("damping", 0.0, 1e6)),
+    )
+    narrow, wide = np.sqrt(np.diag(covariance(fit)))
+    assert narrow == pytest.approx(0.05 / np.sqrt(12), rel=1e-3)
+    alone = covariance(
+        SimpleNamespace(
+            slopes=fit.slopes[:, 1:],
+            weight=fit.weight,
+            information=fit.information[1:, 1:],
+            free=fit.free[1:],
+        )
+    )
+    assert wide**2 == pytest.approx(narrow**2 + alone[0, 0], rel=0.1)
 
 
 def undetected(name, information, free, null, gain=0.0):
