@@ -24,8 +24,8 @@ DISTINCT_SHARE = 0.9  # of the samples: least share of different values of a tim
 USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, where none is given
 SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 SHOWN_COLUMNS = 12  # columns that an error lists at most
-# 0: the first choice
 MOTION_KINDS = ("position", "velocity")
+# 0: the first choice
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}
 # of a setpoint among inputs and outputs, of u and y, of a column of any other name
 SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20

@@ -218,13 +218,14 @@ def evaluate(problem: Problem, point: FitPoint) -> Fit:
     simulator, values = point.simulator, point.values
     simulated, sens, good, initial = simulator.run(values, point.initial, jacobian=True)
     assert sens is not None
+    largest = np.abs(sens).max(axis=1)
     good = (
         good
         & (np.abs(simulated).max(axis=1) < FAILED_OUTPUT)
-        & (np.abs(sens).max(axis=(1, 2)) < FAILED_OUTPUT)
+        & (largest.max(axis=1) < FAILED_OUTPUT)
     )
     # what runs away from where it began tells nothing of the parameters
-    steady = np.abs(sens[:, :, -simulator.width :]).max(axis=(1, 2)) < RUNAWAY
+    steady = largest[:, -simulator.width :].max(axis=1) < RUNAWAY
     # a stretch may be longer than what was measured
     known = good[:, None] & np.isfinite(problem.measured)
     residual = np.where(known, problem.measured - simulated, 0.0)

@@ -7,7 +7,7 @@ is simulated: a loop follows its goal whatever its gains are, so that no start i
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,9 +145,9 @@ def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]
     dataset = dataset_of(model, records)
     loops = _Loops.of(model, dataset, records)
     starts = controllers(model, slides_of(dataset))
-    found = loops.of_all_kinds(model, {}, starts)
+    found = loops.of_all_kinds({}, starts)
     for torque in _torques(model, records):
-        found += loops.of_all_kinds(model, torque)
+        found += loops.of_all_kinds(torque)
     found.sort(key=_error)
     if not (starts or math.isfinite(found[0][0])):
         raise BristleError(
@@ -159,32 +159,29 @@ def _loops(model: Model, records: Sequence[Record]) -> list[tuple[float, Model]]
 
 @dataclass(frozen=True)
 class _Loops:
-    """Whole records, over which models are simulated in their loops."""
+    """Whole records, over which a model is simulated in loops of all kinds."""
 
+    model: Model
     dataset: Dataset
     whole: Segments
     least: float  # error that counts as none [unit of the output]
-    known: Collection[str]  # of the controller
-    nominal: float | None  # inertia, where the unit of torque is open
 
     @classmethod
     def of(cls, model: Model, dataset: Dataset, records: Sequence[Record]) -> _Loops:
         own = Records.of(dataset, records, dataset.segments.times)
-        nominal = model.parameters[J.name] if is_open(model) else None
-        known = tuple(model.controller or ())
-        return cls(dataset, own.stretches(own.seconds), own.least, known, nominal)
+        return cls(model, dataset, own.stretches(own.seconds), own.least)
 
     def of_all_kinds(
-        self, model: Model, torque: Effects, starts: Sequence[Model] = ()
+        self, torque: Effects, starts: Sequence[Model] = ()
     ) -> list[tuple[float, Model]]:
         """Return the refitted starts and a model with the nearest loop of each kind, also with a
         limit of its torque, with the error of each. `torque` as of `_loop`; integral action holds a
         constant one.
         """
-        known, kinds = model.controller or {}, [*starts]
+        known, kinds = self.model.controller or {}, [*starts]
         for parts in CONTROLLER_KINDS:
             if not (set(parts) & set(known) or ("ki" in parts and "bias" in torque)):
-                tries = [_loop(model, parts, f, torque) for f in START_FREQUENCIES]
+                tries = [_loop(self.model, parts, f, torque) for f in START_FREQUENCIES]
                 kinds.append(min(tries, key=self.error))
         found = [self.refitted(each) for each in kinds]
         if "limit" not in known:
@@ -207,9 +204,9 @@ class _Loops:
         error, found = self._refitted(model)
         if self._holds(found):
             return math.inf, found
-        if self.nominal is None or not math.isfinite(error):
+        if not (is_open(self.model) and math.isfinite(error)):
             return error, found
-        found, factor = centred(found, self.nominal)
+        found, factor = centred(found, self.model.parameters[J.name])
         near = 1.0 / RESCALED <= factor <= RESCALED
         return (error, found) if near else min(self._refitted(found), (error, found), key=_error)
 
@@ -219,7 +216,7 @@ class _Loops:
         """
         own = model.controller or {}
         slow = own.get("ki", math.inf) * self.whole.seconds < own["kp"]
-        return slow and "ki" not in self.known
+        return slow and "ki" not in (self.model.controller or {})
 
     def _refitted(self, model: Model) -> tuple[float, Model]:
         servo, values = base_servo_of(model, self.dataset)
