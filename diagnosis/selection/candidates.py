@@ -22,6 +22,7 @@ from bristle.diagnosis.estimation.initial_states import (
 from bristle.diagnosis.estimation.likelihood import Fit, FitPoint, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import (
     FIT_ITERATIONS,
+    ROUGH_STOP_GAIN,
     refit_nonsmooth,
     refit_rescored,
     value_under_noise,
@@ -185,7 +186,27 @@ def _screened(context: SearchContext, name: str, effort: Effort) -> EffectFit:
         return EffectFit(name, None, reason=context.dataset.excluded[name])
     effort = EXHAUSTIVE if name in context.options.exhaustive else effort
     candidate = evaluate_starts(context, name, effort)
-    return advance_candidate(context, candidate, effort) if candidate.fit else candidate
+    if not candidate.fit:
+        return candidate
+    return _from_nothing(context, advance_candidate(context, candidate, effort), effort)
+
+
+def _from_nothing(context: SearchContext, candidate: EffectFit, effort: Effort) -> EffectFit:
+    """Return a candidate that is less likely than the model without it from where it does nothing,
+    if that leads further: a model is never less likely than one that it contains.
+    """
+    fit, effect = candidate.fit, find_effect(candidate.name)
+    assert fit is not None
+    if context.fit.total - fit.total < ROUGH_STOP_GAIN:
+        return candidate
+    off = effect.by_full_name(effect.off) or {effect.strength.name: 0.0}
+    values = {**fit.values, **context.fit.values, **off}
+    values |= {f.name: f.clip(values[f.name]) for f in fit.free}
+    begun = evaluate(context.fitted.problem, fit.at(values, context.fit.initial))
+    predicted, near = _advanced(context, begun, effort.steps, 1)
+    return (
+        replace(candidate, fit=near, predicted=predicted) if near.total > fit.total else candidate
+    )
 
 
 def _most_promising(context: SearchContext, tried: Sequence[EffectFit], null: Null) -> set[str]:

@@ -165,8 +165,20 @@ def sliding_torques(
         parts[law] = bare - torque("viscous")
         for name in (e for e in effects if e not in follows):
             with suppress(BristleError):
-                parts[name] = torque(law, name) - bare
+                parts[name] = (
+                    _lagging(name, values, over)
+                    if "du" in find_effect(name).residual
+                    else torque(law, name) - bare
+                )
     return parts
+
+
+def _lagging(name: str, values: Mapping[str, float], over: Stretches) -> Array:
+    """Return the torque [N.m] that an effect takes from the input by acting on it later, to first
+    order in the time by which it is late.
+    """
+    rate = (over.u - over.u_before) / over.h
+    return np.asarray(-values["b"] * values[find_effect(name).strength.name] * rate)
 
 
 def is_faint(torques: Mapping[str, Array], law: str, name: str) -> bool:

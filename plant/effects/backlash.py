@@ -31,14 +31,22 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one that
-    half of the friction acts on, with a contact of 50 Hz; and some with a contact where the
-    spectrum has its clearest peak."""
+    """Return plays from a few steps of the sensor upwards: of a light load with a contact of 50 Hz;
+    of loads that part of the friction acts on, with a softer contact, from which the harder ones
+    are reached; and of some with a contact where the spectrum has its clearest peak.
+
+    On how the friction is shared depends at which moments the load changes sides.
+    """
     plays = [4 * e.resolution * 2.0**k for k in range(7)]
     light = [_start(e, 0.25, play, 50.0) for play in plays]
-    heavy = [_start(e, 0.6, play, 50.0) | {"friction_share": 0.5} for play in plays]
+    loaded = [
+        _start(e, share, play, 25.0) | {"friction_share": friction}
+        for share in (0.25, 0.5, 0.75)
+        for friction in (0.0, 0.25, 0.5, 0.75, 1.0)
+        for play in plays[1::2]
+    ]
     seen = [_start(e, 0.4, play, peak) for peak in e.resonances(1) for play in plays[1::2]]
-    return [*light, *heavy, *seen]
+    return [*light, *loaded, *seen]
 
 
 def _start(e: Evidence, share: float, play: float, frequency: float) -> dict[str, float]:

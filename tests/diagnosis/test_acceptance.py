@@ -28,7 +28,7 @@ from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, lin
 from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.report.text.said import said
 from bristle.diagnosis.selection import stepwise
-from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, EffectFit
+from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, EffectFit, fit_candidates
 from bristle.diagnosis.selection.criterion import ReferenceModel, is_tied, simplest
 from bristle.diagnosis.selection.effect_size import (
     fall,
@@ -565,11 +565,19 @@ def test_an_effect_may_be_given_start_values_and_all_effort(case):
 
 
 @pytest.mark.long
-def test_a_contact_is_found_because_its_load_is_initialised(case):
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3},
+        {"share": 0.5, "play": 0.01, "stiffness": 60.0, "friction_share": 0.8},
+        {"share": 0.3, "play": 0.01, "stiffness": 60.0, "friction_share": 0.44},
+    ],
+    ids=["far off", "most friction behind", "light and rubbing"],
+)
+def test_a_contact_is_found_because_its_load_is_initialised(case, truth):
     """From start values that are far off, in few steps, nearly as well as from the truth: unless
-    the load is placed, 15 % worse.
+    the load is placed, 15 % worse; and wherever the friction is.
     """
-    truth = {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3}
     made = case("backlash", **truth)
     known = SearchContext(
         made.dataset, made.base, SearchOptions(start_values={"backlash": [truth]})
@@ -577,11 +585,23 @@ def test_a_contact_is_found_because_its_load_is_initialised(case):
     best = propose_effect(known, ["backlash"], QUICK)
     found = propose_effect(SearchContext(made.dataset, made.base), ["backlash"], QUICK)
     assert found.said.outcome == "added"
-    assert found.said.gain > 1000
+    assert found.said.gain > 800
     # contacts amplify rounding: 0.0378 after the few steps of a quick search with another version
     # of the linear algebra
     assert found.best.fit.values["backlash.play"] == pytest.approx(truth["play"], rel=0.1)
     assert found.said.gain > 0.9 * best.said.gain
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["eccentric_encoder", "torque_ripple", "dead_zone"])
+def test_a_candidate_is_no_less_likely_than_the_model_in_it(case, name):
+    """Beside gravity that is missing; from start values that the residual suggests alone, 5 to 80
+    nats less.
+    """
+    made = case("gravity")
+    context = SearchContext(made.dataset, made.base)
+    [tried], _ = fit_candidates(context, [name], QUICK)
+    assert tried.gain_over(context.fit) > -2
 
 
 def test_a_model_that_lacks_nothing_fits_well(case):
