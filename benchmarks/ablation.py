@@ -1,0 +1,161 @@
+"""What each part of the diagnosis is needed for: the same cases without one of them at a time.
+
+    python benchmarks/ablation.py --cases 7 --out out/ablation > benchmarks/results/ablation.md
+
+The cases are those of `servos.py` of a fixed seed: nothing hidden, one effect and three. A part is
+left out by giving a constant or a function the value at which it does nothing, so that all else
+stays as it is. What makes a suspect of a name is counted in the answers with all parts. An
+interrupted run continues with the cases that are missing in its folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parent / "blind"))
+
+import numpy as np
+from run import go_on, stamp
+from servos import COUNTS, Json, diagnose_one, flagged, judged
+
+SEED = "ablation"
+WHOLE = "nothing"
+WHAT = ("controls", "singles", "triples")
+assert set(WHAT) <= set(COUNTS)
+
+# by part: names of constants or functions anywhere in the diagnosis, and what takes their place
+PARTS: Mapping[str, Mapping[str, Any]] = {
+    WHOLE: {},
+    "lengths of segments in proportion to J/a2 (all 0.4 s)": {"SEGMENT_FACTOR": 1e12},
+    "t distribution of a segment's misfit (normal)": {"T_DEGREES_OF_FREEDOM": 1e9},
+    "coloured disturbance in segments (white sensor noise alone)": {"RATIOS": np.array([1e-4])},
+    "noise and parameters in turn (once)": {"NOISE_PASSES": 1, "FAST_NOISE_PASSES": 0},
+    "contenders compared under the noise of the best (of each alone)": {"NOISE_ROUNDS": 1},
+    "start values from the sliding motion": {"sliding_fit": lambda *given: None},
+    "sliding motion has the last word": {"by_sliding": lambda context, latest: latest},
+    "level of chance (a quarter of it)": {"REFIT_FACTOR": 1.0},
+    "gain of four standard errors": {"LEAST_ERRORS": -1e9},
+    "error falls by 1.2 where the effect acts": {"LEAST_FALL": 0.0},
+    "fewer parameters within one standard error": {"SIMPLER_ERRORS": 0.0},
+    "ties": {"TIE_NATS": 0.0, "RIVAL_ERRORS": 0.0},
+    "refused at the end of its interval": {"NATS_PER_PARAMETER": math.inf},
+    "refused where faint": {"FAINT": 0.0},
+    "other forms of an effect": {"retry_with_shape": lambda context, latest: latest},
+    "removal of effects beside those after them": {
+        "backward_elimination": lambda context, base, level, certain=(): (context.fitted, [])
+    },
+}
+
+
+@contextmanager
+def without(part: str) -> Iterator[None]:
+    """Leave a part out, in all modules of the diagnosis that use it."""
+    modules = [m for name, m in sys.modules.items() if name.startswith("bristle.diagnosis")]
+    before = []
+    for name, value in PARTS[part].items():
+        using = [m for m in modules if name in vars(m)]
+        if not using:
+            raise LookupError(f"the diagnosis has no {name}: mend PARTS")
+        before += [(m, name, vars(m)[name]) for m in using]
+        for module in using:
+            setattr(module, name, value)
+    try:
+        yield
+    finally:
+        for module, name, value in before:
+            setattr(module, name, value)
+
+
+def diagnose_without(part: str, what: str, k: int, target: Path) -> None:
+    """Diagnose one case without a part, and write what was found."""
+    with without(part):
+        diagnose_one(what, SEED, k, target)
+
+
+def _row(part: str, cases: Mapping[str, Sequence[Json]], base: float) -> str:
+    hidden = [judged(case) for what in WHAT[1:] for case in cases[what]]
+    answers = Counter(hidden)
+    right = answers["right"] + answers["tied with the truth"]
+    named = sum(
+        len({e["name"] for e in c["found"]["effects"]} & set(c["hidden"]))
+        for what in WHAT[1:]
+        for c in cases[what]
+    )
+    controls = cases["controls"]
+    alarms = sum(bool(c["found"]["effects"]) for c in controls)
+    noticed = sum(flagged(c) or bool(c["found"].get("suspects")) for c in controls)
+    seconds = sum(c["cpu"] for each in cases.values() for c in each)
+    cells = (part, right, answers["wrong"], named, alarms, noticed, f"{seconds / base:.2f}")
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def doubts(cases: Sequence[Json], tell: Callable[[str], None] = print) -> None:
+    """Print what the reasons to doubt a name did in the answers with all parts."""
+    alone: dict[str, Counter[str]] = {}
+    for case in cases:
+        codes = {each["code"] for each in case["found"].get("codes", {}).get("doubts", [])}
+        suspected = {e["name"] for e in case["found"].get("suspects", [])}
+        if not suspected:
+            continue
+        kind = "wrong" if suspected - set(case["hidden"]) else "true"
+        for code in codes:
+            alone.setdefault(code, Counter())[kind] += 1
+            alone[code][f"{kind} alone"] += len(codes) == 1
+    tell("| reason | of a wrong name | alone | of true names | alone |\n|---|---|---|---|---|")
+    for code, counts in sorted(alone.items()):
+        cells = [counts[key] for key in ("wrong", "wrong alone", "true", "true alone")]
+        tell(f"| {code} | " + " | ".join(map(str, cells)) + " |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--cases", type=int, default=7, help="of each: " + ", ".join(WHAT))
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    commit = stamp(given.out)
+
+    def path(number: int, what: str, k: int) -> Path:
+        return given.out / f"{number:02d}_{what}_{k:03d}.json"
+
+    calls = [
+        (part, what, k, path(number, what, k))
+        for k in range(given.cases)
+        for what in WHAT
+        for number, part in enumerate(PARTS)
+    ]
+    go_on(diagnose_without, calls, given.jobs, "ablation")
+    results = {
+        part: {
+            what: [
+                json.loads(path(number, what, k).read_text(encoding="utf-8"))
+                for k in range(given.cases)
+            ]
+            for what in WHAT
+        }
+        for number, part in enumerate(PARTS)
+    }
+    base = sum(case["cpu"] for each in results[WHOLE].values() for case in each)
+    n = given.cases
+    print("# What each part of the diagnosis is needed for\n")
+    print(f"`python benchmarks/ablation.py --cases {n}`, commit {commit}: {n} cases without")
+    print(f"anything hidden, {n} with one effect and {n} with three ({4 * n} effects).\n")
+    print("| left out | right or tied | a wrong name | effects named | controls named |", end="")
+    print(" flagged or suspected | CPU |\n|---|---|---|---|---|---|---|")
+    for part, cases in results.items():
+        print(_row(part, cases, base))
+    print("\nReasons to doubt a name, in the answers with all parts; `alone` where it is the only")
+    print("one. Without it, a wrong name would be one in green, and a true one too.\n")
+    doubts([case for each in results[WHOLE].values() for case in each])
+
+
+if __name__ == "__main__":
+    main()
