@@ -121,10 +121,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    commit = stamp(given.out)
+    commit, folder = stamp(given.out), Path(given.out)
 
     def path(number: int, what: str, k: int) -> Path:
-        return given.out / f"{number:02d}_{what}_{k:03d}.json"
+        return folder / f"{number:02d}_{what}_{k:03d}.json"
 
     calls = [
         (part, what, k, path(number, what, k))
