@@ -1,6 +1,6 @@
 """What each part of the diagnosis is needed for: the same cases without one of them at a time.
 
-    python benchmarks/ablation.py --cases 7 --out out/ablation > benchmarks/results/ablation.md
+    python benchmarks/ablation.py --cases 12 --out out/ablation > benchmarks/results/ablation.md
 
 The cases are those of `servos.py` of a fixed seed: nothing hidden, one effect and three. A part is
 left out by giving a constant or a function the value at which it does nothing, so that all else
@@ -29,7 +29,7 @@ from servos import COUNTS, Json, diagnose_one, flagged, judged
 SEED = "ablation"
 WHOLE = "nothing"
 WHAT = ("controls", "singles", "triples")
-assert set(WHAT) <= set(COUNTS)
+LONGEST = 25.0  # s of a core: longest diagnosis that is repeated without each part
 
 # by part: names of constants or functions anywhere in the diagnosis, and what takes their place
 PARTS: Mapping[str, Mapping[str, Any]] = {
@@ -80,6 +80,11 @@ def diagnose_without(part: str, what: str, k: int, target: Path) -> None:
         diagnose_one(what, SEED, k, target)
 
 
+def _read(path: Path) -> Json:
+    found: Json = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
 def _row(part: str, cases: Mapping[str, Sequence[Json]], base: float) -> str:
     hidden = [judged(case) for what in WHAT[1:] for case in cases[what]]
     answers = Counter(hidden)
@@ -117,7 +122,7 @@ def doubts(cases: Sequence[Json], tell: Callable[[str], None] = print) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cases", type=int, default=7, help="of each: " + ", ".join(WHAT))
+    parser.add_argument("--cases", type=int, default=12, help="of each: " + ", ".join(WHAT))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
@@ -126,28 +131,31 @@ def main() -> None:
     def path(number: int, what: str, k: int) -> Path:
         return folder / f"{number:02d}_{what}_{k:03d}.json"
 
+    drawn = [(what, k) for k in range(given.cases) for what in WHAT]
+    go_on(diagnose_without, [(WHOLE, *each, path(0, *each)) for each in drawn], given.jobs, "whole")
+    quick = [each for each in drawn if _read(path(0, *each))["cpu"] <= LONGEST]
     calls = [
-        (part, what, k, path(number, what, k))
-        for k in range(given.cases)
-        for what in WHAT
-        for number, part in enumerate(PARTS)
+        (part, *each, path(number, *each)) for each in quick for number, part in enumerate(PARTS)
     ]
     go_on(diagnose_without, calls, given.jobs, "ablation")
     results = {
         part: {
-            what: [
-                json.loads(path(number, what, k).read_text(encoding="utf-8"))
-                for k in range(given.cases)
-            ]
-            for what in WHAT
+            what: [_read(path(number, *each)) for each in quick if each[0] == what] for what in WHAT
         }
         for number, part in enumerate(PARTS)
     }
     base = sum(case["cpu"] for each in results[WHOLE].values() for case in each)
-    n = given.cases
+    counts = [len(results[WHOLE][what]) for what in WHAT]
+    effects = sum(n * COUNTS[what] for n, what in zip(counts, WHAT, strict=True))
     print("# What each part of the diagnosis is needed for\n")
-    print(f"`python benchmarks/ablation.py --cases {n}`, commit {commit}: {n} cases without")
-    print(f"anything hidden, {n} with one effect and {n} with three ({4 * n} effects).\n")
+    print(
+        f"`python benchmarks/ablation.py --cases {given.cases}`, commit {commit}: {counts[0]} cases"
+    )
+    print(f"without anything hidden, {counts[1]} with one effect and {counts[2]} with three")
+    print(
+        f"({effects} effects); {len(drawn) - len(quick)} others, which take more than {LONGEST:g} s"
+    )
+    print("of a core, were left out.\n")
     print("| left out | right or tied | a wrong name | effects named | controls named |", end="")
     print(" flagged or suspected | CPU |\n|---|---|---|---|---|---|---|")
     for part, cases in results.items():
