@@ -29,6 +29,7 @@ from servos import COUNTS, Json, diagnose_one, flagged, judged
 SEED = "ablation"
 WHOLE = "nothing"
 WHAT = ("controls", "singles", "triples")
+Results = Mapping[str, Mapping[str, Sequence[Json]]]  # by part and what is hidden
 LONGEST = 25.0  # s of a core: longest diagnosis that is repeated without each part
 
 # by part: names of constants or functions anywhere in the diagnosis, and what takes their place
@@ -120,6 +121,28 @@ def doubts(cases: Sequence[Json], tell: Callable[[str], None] = print) -> None:
         tell(f"| {code} | " + " | ".join(map(str, cells)) + " |")
 
 
+def report(results: Results) -> None:
+    """Print the table of all parts, and that of the reasons to doubt a name."""
+    base = sum(case["cpu"] for each in results[WHOLE].values() for case in each)
+    print("| left out | right or tied | a wrong name | effects named | controls named |", end="")
+    print(" flagged or suspected | CPU |\n|---|---|---|---|---|---|---|")
+    for part, cases in results.items():
+        print(_row(part, cases, base))
+    print("\nReasons to doubt a name, in the answers with all parts; `alone` where it is the only")
+    print("one. Without it, a wrong name would be one in green, and a true one too.\n")
+    doubts([case for each in results[WHOLE].values() for case in each])
+
+
+def _introduce(results: Results, left: int, asked: str) -> None:
+    """Print which cases these are, and how many were `left` out."""
+    counts = [len(results[WHOLE][what]) for what in WHAT]
+    effects = sum(n * COUNTS[what] for n, what in zip(counts, WHAT, strict=True))
+    print(f"# What each part of the diagnosis is needed for\n\n{asked}: {counts[0]} cases")
+    print(f"without anything hidden, {counts[1]} with one effect and {counts[2]} with three")
+    print(f"({effects} effects); {left} others, which take more than {LONGEST:g} s of a core,")
+    print("were left out.\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--cases", type=int, default=12, help="of each: " + ", ".join(WHAT))
@@ -138,31 +161,15 @@ def main() -> None:
         (part, *each, path(number, *each)) for each in quick for number, part in enumerate(PARTS)
     ]
     go_on(diagnose_without, calls, given.jobs, "ablation")
-    results = {
+    results: Results = {
         part: {
             what: [_read(path(number, *each)) for each in quick if each[0] == what] for what in WHAT
         }
         for number, part in enumerate(PARTS)
     }
-    base = sum(case["cpu"] for each in results[WHOLE].values() for case in each)
-    counts = [len(results[WHOLE][what]) for what in WHAT]
-    effects = sum(n * COUNTS[what] for n, what in zip(counts, WHAT, strict=True))
-    print("# What each part of the diagnosis is needed for\n")
-    print(
-        f"`python benchmarks/ablation.py --cases {given.cases}`, commit {commit}: {counts[0]} cases"
-    )
-    print(f"without anything hidden, {counts[1]} with one effect and {counts[2]} with three")
-    print(
-        f"({effects} effects); {len(drawn) - len(quick)} others, which take more than {LONGEST:g} s"
-    )
-    print("of a core, were left out.\n")
-    print("| left out | right or tied | a wrong name | effects named | controls named |", end="")
-    print(" flagged or suspected | CPU |\n|---|---|---|---|---|---|---|")
-    for part, cases in results.items():
-        print(_row(part, cases, base))
-    print("\nReasons to doubt a name, in the answers with all parts; `alone` where it is the only")
-    print("one. Without it, a wrong name would be one in green, and a true one too.\n")
-    doubts([case for each in results[WHOLE].values() for case in each])
+    asked = f"`python benchmarks/ablation.py --cases {given.cases}`, commit {commit}"
+    _introduce(results, len(drawn) - len(quick), asked)
+    report(results)
 
 
 if __name__ == "__main__":

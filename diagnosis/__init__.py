@@ -9,6 +9,7 @@ from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.validation_page import write_validation
 from bristle.diagnosis.report.writer import ReportWriter
 from bristle.diagnosis.selection.start_values import SearchOptions
+from bristle.diagnosis.slow.stick_slip import StickSlip, stick_slip
 from bristle.diagnosis.workflow import diagnose, diagnose_fmu, validate, validate_fmu
 from bristle.records.record import Record
 
@@ -20,6 +21,7 @@ __all__ = [
     "Model",
     "Record",
     "SearchOptions",
+    "StickSlip",
     "Validation",
     "diagnose",
     "diagnose_fmu",
@@ -27,6 +29,7 @@ __all__ = [
     "load_model",
     "load_records",
     "records_from_arrays",
+    "stick_slip",
     "validate",
     "validate_fmu",
     "write",

@@ -52,7 +52,10 @@ def period_of(raw: Raw, shortest: float, longest: float) -> float:
         f"sampled every {h:.7g} s; allowed are {shortest:g} to {longest:g} s: is [time] unit right "
     )
     if h > longest * (1 + PERIOD_ROUNDING):
-        raise raw.error(f"{line}(ms, us)? else sample faster")
+        raise raw.error(
+            f"{line}(ms, us)? else sample faster; a valve or an axis that rests between samples:"
+            " bristle stiction"
+        )
     if h < shortest * (1 - PERIOD_ROUNDING):
         raise raw.error(f"{line}(s, ms)?")
     return h

@@ -20,6 +20,7 @@ for _name in (
     "init",
     "diagnose",
     "validate",
+    "stiction",
     "diff",
     "check",
 ):

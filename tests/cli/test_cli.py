@@ -286,6 +286,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "init",
         "diagnose",
         "validate",
+        "stiction",
         "diff",
         "check",
     ]
