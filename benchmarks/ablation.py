@@ -2,7 +2,8 @@
 
     python benchmarks/ablation.py --cases 12 --out out/ablation > benchmarks/results/ablation.md
 
-The cases are those of `servos.py` of a fixed seed: nothing hidden, one effect and three. A part is
+The cases are those of `servos.py` of a fixed seed, sampled every 1 or 2 ms: nothing hidden, one
+effect and three. A part is
 left out by giving a constant or a function the value at which it does nothing, so that all else
 stays as it is. What makes a suspect of a name is counted in the answers with all parts. An
 interrupted run continues with the cases that are missing in its folder.
@@ -22,6 +23,7 @@ from typing import Any
 
 sys.path.append(str(Path(__file__).resolve().parent / "blind"))
 
+import estimates
 import numpy as np
 from run import go_on, stamp
 from servos import COUNTS, Json, diagnose_one, flagged, judged
@@ -30,6 +32,7 @@ SEED = "ablation"
 WHOLE = "nothing"
 WHAT = ("controls", "singles", "triples")
 Results = Mapping[str, Mapping[str, Sequence[Json]]]  # by part and what is hidden
+PERIODS = (1e-3, 2e-3)  # s: of these cases; faster records take minutes
 LONGEST = 25.0  # s of a core: longest diagnosis that is repeated without each part
 
 # by part: names of constants or functions anywhere in the diagnosis, and what takes their place
@@ -77,6 +80,7 @@ def without(part: str) -> Iterator[None]:
 
 def diagnose_without(part: str, what: str, k: int, target: Path) -> None:
     """Diagnose one case without a part, and write what was found."""
+    estimates.PERIODS = PERIODS
     with without(part):
         diagnose_one(what, SEED, k, target)
 

@@ -174,16 +174,24 @@ def rows(cases: Sequence[Json]) -> None:
             print(f"| {title} {value} | {len(own)} | {said} |")
 
 
+def _named(case: Json) -> set[str]:
+    return {effect["name"] for effect in case["found"]["effects"]}
+
+
 def report(cases: Sequence[Json]) -> None:
     """Print the tables."""
     rows(cases)
     hide, nothing = ([c for c in cases if bool(c["hidden"]) is each] for each in (True, False))
-    wrong = sum(judged(case) == "wrong" for case in hide)
+    wrong = [case for case in hide if judged(case) == "wrong"]
+    bristles = sum("bristle_damping" in _named(case) for case in wrong)
     named = sum(bool(case["found"]["effects"]) for case in nothing)
-    print(f"\nA name that is not there: {wrong} of {len(hide)}, at most", end=" ")
+    print(f"\nA name that is not there: {len(wrong)} of {len(hide)}, at most", end=" ")
     print(
-        f"{100 * upper_bound(wrong, len(hide)):.1f} % (95 %). Controls named: {named} of", end=" "
+        f"{100 * upper_bound(len(wrong), len(hide)):.1f} % (95 %); {bristles} of them is the",
+        end=" ",
     )
+    print("damping of bristles, which the friction of this generator has.", end=" ")
+    print(f"Controls named: {named} of", end=" ")
     print(
         f"{len(nothing)}.\n\nRatios to the controller's kp, where the answer is right and of",
         end=" ",
@@ -197,7 +205,11 @@ def report(cases: Sequence[Json]) -> None:
 
 def _ratio_rows(cases: Sequence[Json]) -> None:
     """Print how far the ratios are off, and how often their intervals cover."""
-    right = [c for c in cases if judged(c) in ("right", "nothing named")]
+    right = [
+        c
+        for c in cases
+        if judged(c) == "right" or (judged(c) == "nothing named" and not c["hidden"])
+    ]
     told = [ratios(case) for case in right]
     for name in RATIOS:
         own = [each[name] for each in told if name in each]

@@ -58,6 +58,8 @@ from bristle.records.record import Record
 USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
 SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
 SCALE_SD = 0.05  # of the scale of a known torque, where the input is a torque
+# s: lag of the velocity in drives, and how much it differs: a period or two and a filter
+USUAL_LAG = 2e-3
 LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
 SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
 SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
@@ -327,13 +329,17 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
 
 def _of_controller(free: Sequence[Free], resolution: float) -> list[Free]:
     """Return free parameters without kp, which all else is relative to, and with what is known of
-    a controller's reading: it is off by a step of the sensor or so.
+    a controller: its reading is off by a step of the sensor or so, and its lag is that of drives,
+    which beside a damping the motion does not show, as J - kd lag is all that counts.
     """
-    kp, offset = (f"{CONTROLLER.name}.{name}" for name in ("kp", "offset"))
+    known = {
+        f"{CONTROLLER.name}.offset": (0.0, resolution),
+        f"{CONTROLLER.name}.lag": (USUAL_LAG, USUAL_LAG),
+    }
     return [
-        replace(f, nominal=0.0, prior_sd=resolution) if f.name == offset else f
+        replace(f, nominal=known[f.name][0], prior_sd=known[f.name][1]) if f.name in known else f
         for f in free
-        if f.name != kp
+        if f.name != f"{CONTROLLER.name}.kp"
     ]
 
 

@@ -12,10 +12,12 @@ from bristle.common.metrics import NORMAL_95
 from bristle.diagnosis.answer import Diagnosis, Estimate
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, sliding_fit
+from bristle.diagnosis.estimation.simulator import LOOP_DELAY
 from bristle.diagnosis.free_parameter import Free
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.sliding.fit import SlidingFit
 from bristle.diagnosis.stages.case import Budget, SearchedCase
+from bristle.plant.controller import CONTROLLER
 from bristle.plant.effects import effects
 from bristle.plant.servo import A2, J
 
@@ -29,13 +31,35 @@ def from_sliding_motion(case: SearchedCase, answer: Diagnosis, _: Budget) -> Dia
     segments do: none where the torque is only asked for.
     """
     if case.model.controller is not None:
-        return answer
+        held = case.model.controller
+        of = [_beside_late_damping(each, held) for each in (answer.base, answer.fitted)]
+        return replace(answer, base=of[0], fitted=of[1])
     base = sliding_estimates(case.dataset, case.model, case.base, answer.base)
     fitted = base
     if case.final is not case.base:
         fitted = sliding_estimates(case.dataset, case.model, case.final, answer.fitted)
     effects = tuple(effect.with_estimates(fitted) for effect in answer.effects)
     return replace(answer, base=base, fitted=fitted, effects=effects)
+
+
+def _beside_late_damping(
+    estimates: Mapping[str, Estimate], controller: Mapping[str, float]
+) -> dict[str, Estimate]:
+    """Return estimates with an inertia that reaches as far as a controller may make it seem less:
+    one that answers a velocity that it sees late takes the damping times that delay from it. A kd
+    of 0 is given: no damping is the controller's then.
+    """
+    if J.name not in estimates or (inertia := estimates[J.name]).ci95 is None:
+        return dict(estimates)
+    if controller.get("kd") == 0:
+        return dict(estimates)
+    kd, lag = (f"{CONTROLLER.name}.{name}" for name in ("kd", "lag"))
+    value = {name: e.value for name, e in estimates.items()}
+    damping = value.get(A2.name, 0.0) + value.get(kd, 0.0)
+    seen = value.get(kd, 0.0) * value.get(lag, 0.0)
+    low, high = inertia.ci95
+    more = max(damping * LOOP_DELAY - seen, 0.0)
+    return {**estimates, J.name: replace(inertia, ci95=(low, high + more))}
 
 
 def sliding_estimates(
