@@ -58,7 +58,7 @@ KINDS = {
 LOOPS = ("4-10 Hz", "10-40 Hz", "open loop")
 NAMES = {"J": "J", "a2": "a2", "Fc": "coulomb.Fc"}
 OFF = 1.5  # factor by which nominal values are off at most
-PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)
+PERIODS: tuple[float, ...] = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)
 
 
 @dataclass(frozen=True)

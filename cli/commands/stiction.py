@@ -35,7 +35,7 @@ def stiction(
     from dataclasses import asdict
 
     from bristle.common.output import check_not_replaced, replace_file, to_json
-    from bristle.diagnosis.slow.report import described
+    from bristle.diagnosis.report.text.rest_positions import described
     from bristle.diagnosis.slow.stick_slip import stick_slip_of_file
 
     if json is not None:

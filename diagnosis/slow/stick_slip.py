@@ -26,7 +26,7 @@ NOISE_FACTOR = 4.0  # deviations of the noise from which on the output has moved
 WHOLE = 1e-5  # how far a whole number is off by rounding
 QUARTER = 0.25  # of the changes: so many are noise at least
 FEWEST_MOVES = 5  # either way: fewer do not tell what friction holds against
-PARTS = 20  # parts of a record whose errors count as independent
+MOVE_BLOCKS = 20  # parts of a record whose errors count as independent
 FALL = 1.2  # factor by which the squared error must fall for more friction to be there
 LEAST_EXPLAINED = 0.5  # of the squares of the changes where it moves: what the answer must tell
 
@@ -259,7 +259,9 @@ def _regression(rows: Array, values: Array) -> tuple[Array, Array]:
     """Return the coefficients of rows (n, k) and their deviations, by the scatter of blocks."""
     found, *_ = np.linalg.lstsq(rows, values, rcond=None)
     scores = rows * (values - rows @ found)[:, None]
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, min(PARTS, len(rows)))])
+    sums = np.array(
+        [part.sum(axis=0) for part in np.array_split(scores, min(MOVE_BLOCKS, len(rows)))]
+    )
     inverse = np.linalg.pinv(rows.T @ rows)
     return np.asarray(found), np.asarray(np.sqrt(np.diag(inverse @ (sums.T @ sums) @ inverse)))
 

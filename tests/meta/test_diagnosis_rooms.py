@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "answer": {"modelfile"},
     "free_parameter": set(),
     "sliding": {"free_parameter"},
+    "slow": set(),
     "estimation": {*GROUND, *FITS},
     "checks": {*GROUND, *FITS, "estimation"},
     "localisation": {"answer", *FITS, "estimation"},
@@ -36,13 +37,13 @@ MAY_IMPORT = {
     "between": {*GROUND, *FITS},
     "fmu": {*GROUND, *FITS, "checks", "estimation"},
     # on top: sentences, figures and pages, and the order of the work
-    "report": GROUND,
+    "report": {*GROUND, "slow"},
     "workflow": {
         *GROUND,
         *("checks", "experiment", "selection", "stages", "validation", "following", "fmu"),
         "between",
     },
-    "__init__": {*GROUND, "checks", "selection", "fmu", "robot", "report", "workflow"},
+    "__init__": {*GROUND, "checks", "selection", "slow", "fmu", "robot", "report", "workflow"},
 }
 MOST_FILES = 9  # of a folder
 ERRORS = {"BristleError", "IncompleteError", "RestartError"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bristle.diagnosis.slow.stick_slip import Behaviour, StickSlip
 
-DIGITS = 9  # of an offset: less is rounding
+OFFSET_DIGITS = 9  # of an offset: less is rounding
 
 HEADLINES: dict[Behaviour, str] = {
     "follows": "The axis follows its input: no friction shows",
@@ -15,10 +15,11 @@ HEADLINES: dict[Behaviour, str] = {
 
 def described(found: StickSlip, input_: str, output: str) -> list[str]:
     """Return lines that say what an axis does, in the units of the columns of those names."""
+    offset = round(found.offset, OFFSET_DIGITS) + 0.0
     lines = [
         HEADLINES[found.behaviour],
         f"{found.samples} samples, {found.moves} moves; '{output}' = {found.gain:.4g} '{input_}'"
-        f" {round(found.offset, DIGITS) + 0.0:+.4g}, the gain {_between(found.gain_interval)}",
+        f" {offset:+.4g}, the gain {_between(found.gain_interval)}",
     ]
     if found.behaviour == "follows":
         lines.append(
