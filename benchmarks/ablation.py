@@ -1,6 +1,6 @@
 """What each part of the diagnosis is needed for: the same cases without one of them at a time.
 
-    python benchmarks/ablation.py --cases 12 --out out/ablation > benchmarks/results/ablation.md
+    python benchmarks/ablation.py --cases 4 --out out/ablation > benchmarks/results/ablation.md
 
 The cases are those of `servos.py` of a fixed seed, sampled every 1 or 2 ms: nothing hidden, one
 effect and three. A part is
@@ -33,7 +33,7 @@ WHOLE = "nothing"
 WHAT = ("controls", "singles", "triples")
 Results = Mapping[str, Mapping[str, Sequence[Json]]]  # by part and what is hidden
 PERIODS = (1e-3, 2e-3)  # s: of these cases; faster records take minutes
-LONGEST = 25.0  # s of a core: longest diagnosis that is repeated without each part
+LONGEST = 45.0  # s of a core: longest diagnosis that is repeated without each part
 
 # by part: names of constants or functions anywhere in the diagnosis, and what takes their place
 PARTS: Mapping[str, Mapping[str, Any]] = {
@@ -149,7 +149,7 @@ def _introduce(results: Results, left: int, asked: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cases", type=int, default=12, help="of each: " + ", ".join(WHAT))
+    parser.add_argument("--cases", type=int, default=4, help="of each: " + ", ".join(WHAT))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()

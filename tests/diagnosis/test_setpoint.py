@@ -3,12 +3,15 @@
 import math
 import tomllib
 from copy import deepcopy
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis import diagnose, records_from_arrays, validate
+from bristle.diagnosis.answer import Estimate
 from bristle.diagnosis.checks.preparation import dataset_of, slides_of
 from bristle.diagnosis.following.controller import controllers
 from bristle.diagnosis.following.whole_loop import following_case
@@ -16,6 +19,7 @@ from bristle.diagnosis.init.proposal import propose
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.proposed_model import model_text as proposed_text
 from bristle.diagnosis.report.text.said import said as sentence
+from bristle.diagnosis.stages.sliding_motion import from_sliding_motion
 from bristle.harness.scenario.reading import load
 from bristle.harness.scenario.samples import read_samples
 
@@ -333,3 +337,23 @@ def test_goal_and_velocity_alone_are_proposed_as_a_setpoint(tmp_path):
         assert (found.input.kind, found.input.column.unit) == ("setpoint", "deg/s")
         assert found.output.column.column == "speed [deg/s]"
         assert found.controller["kd"] * TRUE["J"] == pytest.approx(gains["kd"], rel=0.3)
+
+
+def test_an_inertia_reaches_as_far_as_a_late_damping_hides(answer):
+    """J - kd lag is all that shows: with a damping of 0.3, 5 ms late, 1.5e-3 more than seems."""
+    values = {"J": (0.01, 0.009, 0.011), "a2": (0.1, 0.0, 0.2), "controller.kd": (0.2, 0.1, 0.3)}
+    values |= {"controller.lag": (1e-3, 0.0, 2e-3)}
+    known = {name: Estimate(x, "", (low, high), False) for name, (x, low, high) in values.items()}
+
+    def interval(controller):
+        case = SimpleNamespace(model=SimpleNamespace(controller=controller))
+        found = from_sliding_motion(case, replace(answer("none"), base=known, fitted=known), None)
+        assert found.base == found.fitted
+        assert {name: e for name, e in found.fitted.items() if name != "J"} == {
+            name: e for name, e in known.items() if name != "J"
+        }
+        return found.fitted["J"].ci95
+
+    # what of the damping is late by the lag that was found is in J already
+    assert interval({"kp": 3.0, "kd": 0.2}) == pytest.approx((0.009, 0.011 + 1.5e-3 - 0.2e-3))
+    assert interval({"kp": 3.0, "kd": 0.0}) == (0.009, 0.011)

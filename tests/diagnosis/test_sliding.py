@@ -23,6 +23,7 @@ from bristle.diagnosis.sliding.fit import (
 )
 from bristle.diagnosis.sliding.kalman import KalmanFilter, SlidingNoise
 from bristle.diagnosis.sliding.stretches import SETTLING, Stretches, stretches_of
+from bristle.diagnosis.sliding.torque import is_faint, sliding_torques
 
 H = 1e-3
 NOISE = SlidingNoise(0.01, 0.02, 0.004, 10.0, 2e-5, 1e-5)
@@ -271,6 +272,21 @@ def test_regression_gives_the_size_of_a_torque() -> None:
     assert abs(answer[1]) < 1e-3
     assert gain > 50.0
     assert fitted(over).regress(np.cos(2 * over.theta)[:, None])[1] < 6.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter"), [("input_delay", "delay"), ("electrical_pole", "time_constant")]
+)
+@pytest.mark.parametrize(("late", "faint"), [(2e-4, True), (6e-3, False)])
+def test_a_delay_is_faint_where_the_torque_that_it_takes_is(effect, parameter, late, faint):
+    """By the input itself, taken so much later."""
+    over = slid(1)
+    torques = sliding_torques("coulomb", (effect,), VALUES | {f"{effect}.{parameter}": late}, over)
+    times = H * np.arange(len(over.u))
+    taken = np.interp(times - late, times, over.u) - over.u
+    inside = over.counted[np.abs(np.diff(over.u))[over.counted - 1] < 0.01]  # within a record
+    assert np.abs(torques[effect] - taken)[inside].max() < 0.12 * np.abs(taken[inside]).max()
+    assert is_faint(torques, "coulomb", effect) is faint
 
 
 def vars_of(over: Stretches) -> dict[str, object]:
