@@ -112,6 +112,8 @@ def stick_slip(
         raise BristleError(f"input and output have shapes {u.shape} and {y.shape}; give one each")
     valid = np.isfinite(u) & np.isfinite(y)
     u, y = u[valid], y[valid]
+    if len(u) < 4 * FEWEST_MOVES:
+        raise BristleError(f"{len(u)} samples; give {4 * FEWEST_MOVES} at least, of many moves")
     # a gain below 0 is that of the input turned around
     turned = -1.0 if len(u) > 1 and np.sum((u - u.mean()) * (y - y.mean())) < 0 else 1.0
     found = _of_positive(turned * u, y, resolution)

@@ -29,6 +29,10 @@ BLANKS = frozenset({"", "-", "--", "---", "nan", "na", "n/a", "#n/a", "#nv", "nu
 SHOWN_FIELD = 30  # letters of a field that an error shows at most
 
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?$")
+# a field that is a list of one number, as tables of Rerun's have them
+_LIST_OF_ONE = re.compile(
+    r'(?<![^",;\t])\[\s*([+-]?(?:\d+\.\d*|\.\d+)(?:e[+-]?\d+)?)\s*\](?![^",;\t])', re.IGNORECASE
+)
 _BRACKETED = re.compile(r"[\[(].*[\])]$")
 # of a time, in a row of units: hh:mm:ss.fff
 _CLOCK_FORMAT = re.compile(r"(?=.*h)(?=.*m)[ymdhsfzt:.,/ -]+$", re.IGNORECASE)
@@ -54,6 +58,8 @@ def read_delimited(path: Path) -> Columns:
         raise BristleError(
             f"record {path}: is empty; write the column names in the first line and numbers below"
         )
+    if any(map(_LIST_OF_ONE.search, lines[:SNIFFED_LINES])):
+        lines = [_LIST_OF_ONE.sub(r"\1", line) for line in lines]
     sample = lines[:SNIFFED_LINES]
     mark = _separator(sample)
     if mark != ";":  # some end their lines with it, besides

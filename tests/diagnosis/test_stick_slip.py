@@ -101,8 +101,9 @@ def lagging(u: Array) -> Array:
         (lambda u: valve(told(99, 0.5), 4.0, 1.5), "does not follow this input"),
         (np.zeros_like, "begins to move 0 times up"),
         (lambda u: u[1:], "have shapes"),
+        (lambda u: np.where(np.arange(SECONDS) < 19, u, np.nan), "19 samples; give 20"),
     ],
-    ids=["a flow behind it", "another", "none", "shorter"],
+    ids=["a flow behind it", "another", "none", "shorter", "short"],
 )
 def test_what_is_no_such_axis_is_refused(output: Callable[[Array], Array], said: str) -> None:
     u = told(8)

@@ -273,6 +273,17 @@ def test_separators_quotes_and_blank_lines(mark, tmp_path):
     }
 
 
+def test_fields_that_are_lists_of_one_number(tmp_path):
+    """As Rerun's tables have them, with a text beside; a unit in brackets stays one."""
+    path = tmp_path / "rerun.csv"
+    rows = [f'{k},[{k / 2:g}.],"[-{k}.5e-1]",a' for k in range(0, 40, 2)]
+    path.write_text("log_tick,/servo/goal,/servo/position [1],name\n" + "\n".join(rows))
+    columns = read_columns(path)
+    assert list(columns) == ["log_tick", "/servo/goal", "/servo/position [1]"]
+    assert columns["/servo/goal"].tolist() == list(range(20))
+    assert columns["/servo/position [1]"][-1] == pytest.approx(-3.85)
+
+
 def test_an_empty_field_is_nan(tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("t,u\n1,2\n3,\n")
