@@ -170,7 +170,8 @@ def rows(cases: Sequence[Json]) -> None:
     for title, of in groups:
         for value in sorted({of(case) for case in cases}):
             own = [judged(case) for case in cases if of(case) == value]
-            said = ", ".join(f"{x} {own.count(x)}" for x in sorted(set(own), key=own.count)[::-1])
+            kinds = sorted(set(own), key=lambda x: (-own.count(x), x))
+            said = "; ".join(f"{x} {own.count(x)}" for x in kinds)
             print(f"| {title} {value} | {len(own)} | {said} |")
 
 
