@@ -33,7 +33,7 @@ WHOLE = "nothing"
 WHAT = ("controls", "singles", "triples")
 Results = Mapping[str, Mapping[str, Sequence[Json]]]  # by part and what is hidden
 PERIODS = (1e-3, 2e-3)  # s: of these cases; faster records take minutes
-LONGEST = 45.0  # s of a core: longest diagnosis that is repeated without each part
+LONGEST = 40.0  # s of a core: longest diagnosis that is repeated without each part
 
 # by part: names of constants or functions anywhere in the diagnosis, and what takes their place
 PARTS: Mapping[str, Mapping[str, Any]] = {
