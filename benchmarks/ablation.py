@@ -16,7 +16,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,8 @@ sys.path.append(str(Path(__file__).resolve().parent / "blind"))
 
 import estimates
 import numpy as np
-from forms import class_of
 from run import go_on, stamp
-from servos import COUNTS, Json, diagnose_one, flagged, judged
+from servos import COUNTS, Json, classes_of, diagnose_one, flagged, judged
 
 SEED = "ablation"
 WHOLE = "nothing"
@@ -86,10 +85,6 @@ def diagnose_without(part: str, what: str, k: int, target: Path) -> None:
         diagnose_one(what, SEED, k, target)
 
 
-def _classes(names: Iterable[str]) -> set[str]:
-    return {class_of(name) for name in names}
-
-
 def _read(path: Path) -> Json:
     found: Json = json.loads(path.read_text(encoding="utf-8"))
     return found
@@ -100,7 +95,7 @@ def _row(part: str, cases: Mapping[str, Sequence[Json]], base: float) -> str:
     answers = Counter(hidden)
     right = answers["right"] + answers["tied with the truth"]
     named = sum(
-        len(_classes(e["name"] for e in c["found"]["effects"]) & _classes(c["hidden"]))
+        len(classes_of(e["name"] for e in c["found"]["effects"]) & classes_of(c["hidden"]))
         for what in WHAT[1:]
         for c in cases[what]
     )
@@ -117,10 +112,10 @@ def doubts(cases: Sequence[Json], tell: Callable[[str], None] = print) -> None:
     alone: dict[str, Counter[str]] = {}
     for case in cases:
         codes = {each["code"] for each in case["found"].get("codes", {}).get("doubts", [])}
-        suspected = _classes(e["name"] for e in case["found"].get("suspects", []))
+        suspected = classes_of(e["name"] for e in case["found"].get("suspects", []))
         if not suspected:
             continue
-        kind = "wrong" if suspected - _classes(case["hidden"]) else "true"
+        kind = "wrong" if suspected - classes_of(case["hidden"]) else "true"
         for code in codes:
             alone.setdefault(code, Counter())[kind] += 1
             alone[code][f"{kind} alone"] += len(codes) == 1

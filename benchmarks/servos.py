@@ -142,9 +142,9 @@ def diagnose_one(what: str, commit: str, k: int, target: Path) -> None:
 
 def judged(case: Json) -> str:
     """Return how right an answer is."""
-    found, true = case["found"], _classes(case["hidden"])
-    named = _classes(effect["name"] for effect in found["effects"])
-    tied = [_classes(tie) for tie in found["ties"]]
+    found, true = case["found"], classes_of(case["hidden"])
+    named = classes_of(effect["name"] for effect in found["effects"])
+    tied = [classes_of(tie) for tie in found["ties"]]
     if found["verdict"] == "error":
         return "error"
     if named - true and not any(named - true <= tie and tie & true for tie in tied):
@@ -157,13 +157,14 @@ def judged(case: Json) -> str:
 
 
 def _unnamed(found: Json, true: set[str]) -> str:
-    suspected = _classes(effect["name"] for effect in found.get("suspects", []))
+    suspected = classes_of(effect["name"] for effect in found.get("suspects", []))
     if suspected:
         return "suspected" if suspected <= true else "suspected, not there"
     return "nothing named" if found["verdict"] == "none" else "withheld"
 
 
-def _classes(names: Iterable[str]) -> set[str]:
+def classes_of(names: Iterable[str]) -> set[str]:
+    """Return the classes of effects."""
     return {class_of(name) for name in names}
 
 
@@ -201,8 +202,8 @@ def _rows(what: str, cases: list[Json]) -> None:
 
 def _found_most(case: Json) -> bool:
     """Return whether all effects but one, or more, were named."""
-    named = _classes(effect["name"] for effect in case["found"]["effects"])
-    true = _classes(case["hidden"])
+    named = classes_of(effect["name"] for effect in case["found"]["effects"])
+    true = classes_of(case["hidden"])
     return len(named & true) >= len(true) - 1
 
 
