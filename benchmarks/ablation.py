@@ -43,7 +43,7 @@ PARTS: Mapping[str, Mapping[str, Any]] = {
     "coloured disturbance in segments (white sensor noise alone)": {"RATIOS": np.array([1e-4])},
     "noise and parameters in turn (once)": {"NOISE_PASSES": 1, "FAST_NOISE_PASSES": 0},
     "contenders compared under the noise of the best (of each alone)": {"NOISE_ROUNDS": 1},
-    "start values from the sliding motion": {"sliding_fit": lambda *given: None},
+    "likelihood of sliding motion (segments alone)": {"sliding_fit": lambda *given: None},
     "sliding motion has the last word": {"by_sliding": lambda context, latest: latest},
     "level of chance (a quarter of it)": {"REFIT_FACTOR": 1.0},
     "gain of four standard errors": {"LEAST_ERRORS": -1e9},
