@@ -212,7 +212,7 @@ def _none_found(files: Files, role: str, asked: str | None, names: Sequence[str]
         return BristleError(
             f"record {next(iter(files.tables))}: no column is an input, and motion alone does not"
             " tell what moved it; log the torque, force, voltage, current or goal as well, or give"
-            f" the column with --input: {_listed(names)}{more}"
+            f" the column with --{role}: {_listed(names)}{more}"
         )
     rate = ', or the sampling rate, --rate "200 Hz"' if role == "time" else ""
     return BristleError(
